@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from page_browser import Page, browser, needs_browser
+from page_browser import Page, browser, looking, needs_browser
 from service_process import SMALL_CELL, STIFF_CELL, serving
 
 pytestmark = [pytest.mark.campaign, pytest.mark.browser, pytest.mark.service, needs_browser]
@@ -23,14 +23,11 @@ def on_screen(page: Page, identity: str) -> bool:
 def test_the_first_screen_of_a_tablet_holds_headline_grade_drawing_and_decision(
     finished: str, tmp_path: Path
 ) -> None:
-    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
-        page = Page(driver)
-        page.resize(800, 1280)
-        driver.get(service.url + "/")
+    with serving(tmp_path, cell=STIFF_CELL) as service, looking(tmp_path, service, 800, 1280) as page:
         assert "mass 1" not in page.drawing().text
         for part in ("grade", "sentence", "where", "accept", "reject"):
             assert on_screen(page, part), part
-        assert not driver.find_element("id", "parameters").is_displayed()
+        assert not page.driver.find_element("id", "parameters").is_displayed()
         # In the picture, at the motor, and in the list: the same number.
         assert "1" in [t.text for t in page.drawing().find_elements("css selector", "text")]
         assert "1\nA1: dry friction at the motor" in page.text("findings")
@@ -42,17 +39,16 @@ def test_the_first_screen_of_a_tablet_holds_headline_grade_drawing_and_decision(
                 page.shown_as(scheme)
                 assert page.overflow() <= 0, width
                 assert not page.stop_covered(), width
-                driver.save_screenshot(str(tmp_path / f"result-{width}-{scheme}.png"))
         page.shown_as("light", "print")
         head = page.shown("print-head").text
         for known in (finished.rsplit("/", 1)[1], "Started by local", "invid 0"):
             assert known in head
-        assert not driver.find_element("id", "stop").is_displayed()
+        assert not page.driver.find_element("id", "stop").is_displayed()
         page.shown_as("light")
-        driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
-        assert driver.find_element("id", "parameters").is_displayed(), "paper cannot be unfolded"
-        driver.execute_script("window.dispatchEvent(new Event('afterprint'))")
-        assert not driver.find_element("id", "parameters").is_displayed()
+        page.driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+        assert page.driver.find_element("id", "parameters").is_displayed(), "paper cannot be unfolded"
+        page.driver.execute_script("window.dispatchEvent(new Event('afterprint'))")
+        assert not page.driver.find_element("id", "parameters").is_displayed()
         assert page.mistakes() == []
 
 

@@ -53,7 +53,6 @@ def test_a_person_has_values_worked_out_written_measured_and_written_back(
             assert page.overflow() <= 0, size
             assert page.small_targets() == [], size
             driver.execute_script("document.getElementById('apply').scrollIntoView()")
-            driver.save_screenshot(str(tmp_path / f"apply-{language}-{size}.png"))
         driver.set_window_size(1280, 900)
         field.send_keys("another robot")
         page.press(write)
@@ -72,7 +71,6 @@ def test_a_person_has_values_worked_out_written_measured_and_written_back(
         for size in (1280, 390):
             driver.set_window_size(size, 900)
             assert page.overflow() <= 0, size
-            driver.save_screenshot(str(tmp_path / f"verified-{language}-{size}.png"))
         driver.set_window_size(1280, 900)
         page.press(page.shown("apply-undo"))
         page.wait_text("verified", "small cell")
