@@ -11,7 +11,7 @@ import numpy as np
 from invid.likelihood.unknown_forces.descent import Ended
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.price import PARTS, pays, price, price_at_motors
+from invid.likelihood.unknown_forces.price import FITTED, PARTS, pays, price, price_at_motors
 from invid.likelihood.unknown_forces.shapes import reshape
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.model.plant import Kind
@@ -69,6 +69,12 @@ class Worth:
         """Whether it pays its price; what is not weighed is not known not to."""
         return self._pays(0.0) or not self.is_weighed
 
+    @property
+    def may_pay(self) -> bool:
+        """Whether what it brings on the records fitted is enough to ask for the records kept out."""
+        least = self.price if self.is_friction else FITTED * self.price
+        return self.rise + sum(self.gaps or ()) > least
+
     def _pays(self, more: float) -> bool:
         fitted, kept = self.roles
         if self.is_friction:
@@ -97,10 +103,9 @@ def _weigh(now: Supposed, one: Deletion) -> tuple[Worth, Supposed | None]:
     if budget.is_left_out(WEIGHING):
         return Worth(one.cause, one.key, numbers=one.numbers, gaps=None), None
     less = one.without(now)
-    gaps = now.fit.open_gap, less.fit.open_gap
-    roles = role_falls(less, now)
-    left = tuple(less.strength)
-    worth = Worth(one.cause, one.key, less.total - now.total, roles, left, one.numbers, gaps)
+    gaps, rise = (now.fit.open_gap, less.fit.open_gap), less.total - now.total
+    worth = Worth(one.cause, one.key, rise, (rise, 0.0), tuple(less.strength), one.numbers, gaps)
+    worth = replace(worth, roles=role_falls(less, now)) if worth.may_pay else worth
     return (replace(worth, gaps=None) if less.fit.ended is Ended.CUT else worth), less
 
 
