@@ -152,7 +152,7 @@ def _agreed_alone(now: Supposed) -> Supposed:
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Motion, shapes and numbers in turn until the value stands."""
-    if True in now.ways and not now.motions.is_agreed:
+    if now.has_contact and not now.motions.is_agreed:
         now = min(now, _agreed_alone(now), key=lambda f: f.total)
     for number in range(rounds):
         moved = now.with_agreed_motors() if number < MOTORS_AGREED else now

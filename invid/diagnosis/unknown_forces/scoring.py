@@ -68,13 +68,13 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
             continue
         limits = placed.law.limits(now.motions.flat(placed.spot))
         rows = law_rows(now, placed)
+        fall = bounded_fall(*background.beside(rows), limits)
         if placed.law.reads:  # another scale of the reading is no part of what a law of it says
             scale = scale_rows(now, placed.spot)
             both = [np.concatenate(pair, axis=1) for pair in zip(rows, scale, strict=True)]
-            fall = bounded_fall(*background.beside(both), [*limits, ANY])
-            out.append(fall - bounded_fall(*background.beside(scale), [ANY]))
-        else:
-            out.append(bounded_fall(*background.beside(rows), limits))
+            beside = bounded_fall(*background.beside(both), [*limits, ANY])
+            fall = min(fall, beside - bounded_fall(*background.beside(scale), [ANY]))
+        out.append(fall)
     return np.array(out)
 
 

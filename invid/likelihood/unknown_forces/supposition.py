@@ -190,6 +190,11 @@ class Supposed:
         return (False, True) if is_bent else (False,)
 
     @property
+    def has_contact(self) -> bool:
+        """Whether something comes into contact across a spring."""
+        return any(p.spot.where is Where.SPRING and not p.law.is_smooth for p in self.hypothesis.laws)
+
+    @property
     def kept_value(self) -> Value | None:
         """−2 ln L of the records kept out, at the numbers, strengths and coefficients that were fitted, and
         on inner motion that is smoothed at them until it stands."""

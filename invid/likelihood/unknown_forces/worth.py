@@ -114,28 +114,28 @@ def prune(
 ) -> tuple[tuple[Worth, ...], Supposed]:
     """What each cause is worth in the fit with those that pay, and that fit.
 
-    One at a time the one that is least above its price goes, and those that did not pay beside it are weighed
-    again: two that are each dispensable beside the other do not both go. Those ``kept`` stay in the fit.
+    One at a time the one that is least above its price goes, once it is known to be poor beside those left:
+    two that are each dispensable beside the other do not both go. Those ``kept`` stay in the fit.
     """
     known: dict[Hashable, tuple[Worth, Supposed | None]] = {}
+    weighed_at: dict[Hashable, Supposed] = {}
     while True:
-        deletions = deletions_of(now)
-        for deletion in deletions:
-            if deletion.key not in known:
-                known[deletion.key] = _weigh(now, deletion)
-        known = {d.key: known[d.key] for d in deletions}
-        worths = [w for w, _ in known.values()]
+        deletions = {d.key: d for d in deletions_of(now)}
+        for key, deletion in deletions.items():
+            if key not in known:
+                known[key], weighed_at[key] = _weigh(now, deletion), now
+        worths = [known[key][0] for key in deletions]
         stays = {w.key for w in worths if w.stays}
         # A rise at slow speed is one above dry friction.
         needed = {(Part.DRY, m) for m in range(now.hypothesis.structure.motors) if (Part.RISE, m) in stays}
         poor = [w for w in worths if w.key not in stays | needed | {*kept}]
         if not poor:
             return tuple(worths), now
-        least = min(poor, key=lambda w: w.rise - w.price)
-        now = known[least.key][1] or now
-        for worth in worths:
-            if not worth.stays:
-                del known[worth.key]
+        least = min(poor, key=lambda w: w.rise - w.price).key
+        if weighed_at[least] is not now:
+            known[least], weighed_at[least] = _weigh(now, deletions[least]), now
+        else:
+            now = known[least][1] or now
 
 
 def friction_deletions(now: Supposed) -> list[Deletion]:
