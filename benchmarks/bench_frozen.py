@@ -1,6 +1,6 @@
 """Frozen behaviour: the documents of several hundred recordings by one revision beside those by another.
 
-    python benchmarks/bench_frozen.py run REVISION|FOLDER [-o RESULTS] [--cases 360] [--motors K] [--jobs 1]
+    python benchmarks/bench_frozen.py run REVISION|FOLDER [-o RESULTS] [--cases 360] [--motors K]
     python benchmarks/bench_frozen.py compare RESULTS RESULTS
     python benchmarks/bench_frozen.py [--cases 40] [--motors 2]      the working tree against HEAD
 
@@ -10,23 +10,16 @@ identifies and diagnoses the same files with its own code, in a process of its o
 goes on where it was; a case that fails, hangs (--timeout) or takes its process down is written down as that.
 
 ``compare`` prints every difference in exit status, verdict, cause, place, size and χ², and says which
-documents are the same byte by byte, but for what ``normalised`` leaves out. Exit status 0: no difference.
+documents are the same, but for what it names as left out. Exit status 0: no difference.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import queue
-import select
 import subprocess
 import sys
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 from benchmarks.frozen.cases import ROOT, Case, cases, make
 from benchmarks.frozen.compare import compare
@@ -34,143 +27,51 @@ from benchmarks.frozen.compare import compare
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "invid-frozen"
 
 
-class Worker:
-    """A process that runs cases with the code of one tree; started again where it died."""
-
-    def __init__(self, tree: Path) -> None:
-        self.tree = tree
-        self.process: subprocess.Popen[str] | None = None
-
-    def ask(self, job: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """The answer to one job, or what became of it."""
-        if self.process is None or self.process.poll() is not None:
-            self._start()
-        assert self.process is not None
-        assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(job) + "\n")
-        self.process.stdin.flush()
-        answer = self._line(seconds)
-        return answer if answer is not None else self._lost(f"no answer within {seconds:g} s")
-
-    def _start(self) -> None:
-        path = os.pathsep.join(str(self.tree / p) for p in (".", "drivers", "service"))
-        threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).parent / "frozen" / "worker.py"), str(self.tree)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=self.tree,
-            env={**os.environ, **threads, "PYTHONPATH": path},
-        )  # fmt: skip
-        if not (self._line(300.0) or {}).get("ready"):
-            raise SystemExit(f"{self.tree}: its invid does not start")
-
-    def _line(self, seconds: float) -> dict[str, Any] | None:
-        assert self.process is not None
-        assert self.process.stdout is not None
-        if not select.select([self.process.stdout], [], [], seconds)[0]:
-            return None
-        line = self.process.stdout.readline()
-        return json.loads(line) if line else self._lost("the process ended")
-
-    def _lost(self, why: str) -> dict[str, Any]:
-        self.close()
-        return {"status": {}, "said": why, "cpu_s": 0.0}
-
-    def close(self) -> None:
-        """End the process."""
-        if self.process is not None:
-            self.process.kill()
-            self.process.wait()
-            self.process = None
-
-
-def recordings(chosen: list[Case], cache: Path, jobs: int) -> list[Case]:
-    """Makes what is not in the cache; the cases that have a recording."""
-    folder = cache / "recordings"
+def recordings(chosen: list[Case], folder: Path) -> list[Path]:
+    """Recordings of the cases; what is not in the cache is made."""
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [c for c in chosen if not (folder / f"{c.name}.h5").exists()]
-    with get_context("spawn").Pool(jobs, maxtasksperchild=50) as pool:
-        for case, failure in pool.imap_unordered(_make, [(c, folder / f"{c.name}.h5") for c in missing]):
-            print(f"recording {case.name}: {failure or 'made'}", file=sys.stderr, flush=True)
-    return [c for c in chosen if (folder / f"{c.name}.h5").exists()]
-
-
-def _make(job: tuple[Case, Path]) -> tuple[Case, str]:
-    try:
-        make(*job)
-    except Exception as error:
-        return job[0], f"{type(error).__name__}: {error}"
-    return job[0], ""
+    places = [folder / f"{case.name}.h5" for case in chosen]
+    for case, place in zip(chosen, places, strict=True):
+        if not place.exists():
+            try:
+                make(case, place)
+            except Exception as error:
+                print(f"recording {case.name}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+    return [place for place in places if place.exists()]
 
 
 def tree_of(revision: str, cache: Path) -> Path:
     """A folder as it is, or a revision checked out into the cache."""
     if Path(revision).is_dir():
         return Path(revision).resolve()
-
-    def git(*arguments: str) -> str:
-        done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
-        if done.returncode:
-            raise SystemExit(f"{revision}: neither a folder nor a revision: {done.stderr.strip()}")
-        return done.stdout.strip()
-
-    sha = git("rev-parse", "--short=12", f"{revision}^{{commit}}")
+    git = ["git", "-C", str(ROOT)]
+    name = [*git, "rev-parse", "--short=12", f"{revision}^{{commit}}"]
+    sha = subprocess.run(name, capture_output=True, text=True, check=True).stdout.strip()
     tree = cache / "trees" / sha
     if not tree.exists():
         tree.mkdir(parents=True)
-        archive = subprocess.Popen(["git", "archive", sha], cwd=ROOT, stdout=subprocess.PIPE)
-        subprocess.run(["tar", "-x", "-C", str(tree)], stdin=archive.stdout, check=True)
-        archive.wait()
+        archive = subprocess.run([*git, "archive", sha], stdout=subprocess.PIPE, check=True).stdout
+        subprocess.run(["tar", "-x", "-C", str(tree)], input=archive, check=True)
     return tree
 
 
 def run(revision: str, results: Path | None, options: argparse.Namespace) -> Path:
     """Documents of all cases by one revision; the folder they are in."""
     cache = Path(options.cache).resolve()
-    chosen = recordings(cases(options.cases, options.motors), cache, options.jobs)
+    made = recordings(cases(options.cases, options.motors), cache / "recordings")
     tree = tree_of(revision, cache)
     folder = (results or cache / "results" / tree.name).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    if (
-        results is None and Path(revision).is_dir()
-    ):  # a working tree changes: its last results are no more its own
-        for stale in folder.glob("*/answer.json"):
+    if results is None and Path(revision).is_dir():  # a working tree changes: what it gave is no more its own
+        for stale in folder.glob("*/*.json"):
             stale.unlink()
-    todo = [c for c in chosen if not (folder / c.name / "answer.json").exists()]
-    workers: queue.SimpleQueue[Worker] = queue.SimpleQueue()
-    every = [Worker(tree) for _ in range(options.jobs)]
-    for worker in every:
-        workers.put(worker)
-    done, lock = [len(chosen) - len(todo)], threading.Lock()
-
-    def one(case: Case) -> None:
-        place = folder / case.name
-        place.mkdir(exist_ok=True)
-        for document in place.glob("*.json"):
-            document.unlink()
-        worker = workers.get()
-        job = {
-            "recording": str(cache / "recordings" / f"{case.name}.h5"),
-            "folder": str(place),
-            "arguments": case.arguments,
-        }
-        try:
-            answer = worker.ask(job, options.timeout)
-        finally:
-            workers.put(worker)
-        (place / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
-        with lock:
-            done[0] += 1
-            print(
-                f"{done[0]}/{len(chosen)} {case.name}: {answer['status']} {answer['cpu_s']:.1f} s",
-                file=sys.stderr, flush=True,
-            )  # fmt: skip
-
-    try:
-        with ThreadPoolExecutor(options.jobs) as pool:
-            list(pool.map(one, todo))
-    finally:
-        for worker in every:
-            worker.close()
+    todo = [str(path) for path in made if not (folder / path.stem / "answer.json").exists()]
+    paths = os.pathsep.join(str(tree / p) for p in (".", "drivers", "service"))
+    subprocess.run(
+        [sys.executable, f"{ROOT}/benchmarks/frozen/worker.py", str(tree), str(folder), str(options.timeout)],
+        input="\n".join(todo), text=True, cwd=tree, check=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": paths},
+    )  # fmt: skip
     return folder
 
 
@@ -186,7 +87,6 @@ def main() -> int:
     parser.add_argument(
         "--motors", type=int, default=None, help="drawn cases with at most so many, no real ones"
     )
-    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--timeout", type=float, default=1800.0, help="seconds that one case may take")
     parser.add_argument("--cache", default=str(CACHE))
     options = parser.parse_args()

@@ -15,12 +15,11 @@ import sys
 import time
 import traceback
 from collections import Counter, defaultdict
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from benchmarks.shared.campaign import each
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -115,13 +114,6 @@ def report(rows: list[dict[str, Any]]) -> None:
             f"  {low:4.0f}…{high:<4.0f} dB  right {_share(count['right'], len(part))}   "
             + ", ".join(f"{k} {v}" for k, v in count.most_common() if k != "right")
         )
-    per_cause: dict[str, list[bool]] = defaultdict(list)
-    for r in singles:
-        if r["db"] >= 10:
-            per_cause[r["causes"][0]].append(r["outcome"] == "right")
-    if per_cause:
-        worst = sorted(per_cause.items(), key=lambda kv: np.mean(kv[1]))[:6]
-        print("  worst causes from 10 dB: " + ", ".join(f"{k} {sum(v)}/{len(v)}" for k, v in worst))
     print("\nFigures of the issue")
     for words, kind, good in (
         ("null called consistent            ", "null", ("right",)),
@@ -145,12 +137,6 @@ def report(rows: list[dict[str, Any]]) -> None:
             f"{_share(int((errors < 0.1).sum()), errors.size)}, within ±3 std "
             f"{_share(int((sigmas < 3).sum()), sigmas.size)}"
         )
-        both = [
-            abs(r["size_error"]) < 0.1 and abs(r["size_sigmas"]) < 3
-            for r in rows
-            if r.get("size_error") is not None and r.get("size_sigmas") is not None
-        ]
-        print(f"  main parameter: both               {_share(sum(both), len(both))}")
     floors = np.array([r["over_floor"] for r in singles if r["outcome"] == "right" and r.get("over_floor")])
     if floors.size:
         print(
@@ -170,10 +156,6 @@ def report(rows: list[dict[str, Any]]) -> None:
             f"  masses and springs that the effect had biased: rms error {np.median(times):.3g} times less "
             f"(median), 5 times and more {_share(int((times >= 5.0).sum()), times.size)}"
         )
-    shaken: dict[str, list[bool]] = defaultdict(list)
-    for r in rows:
-        shaken[str(r["settings"].get("excitation", r["settings"]["drive"]))].append(r["outcome"] == "right")
-    print("  right by drive or excitation: " + ", ".join(f"{k} {sum(v)}/{len(v)}" for k, v in shaken.items()))
     for motors in (1, 2, 3):
         part = [r["seconds"] for r in rows if len(r["masses"]) == motors]
         if part:
@@ -182,16 +164,6 @@ def report(rows: list[dict[str, Any]]) -> None:
     print(f"\nNot right ({len(failed)}):")
     for r in sorted(failed, key=lambda r: (r["outcome"], -r["db"])):
         print("  " + _line(r))
-    off = [
-        r for r in rows if abs(r.get("size_error") or 0.0) >= 0.1 or abs(r.get("size_sigmas") or 0.0) >= 3.0
-    ]
-    print(f"\nSize off by a tenth or by three std ({len(off)}):")
-    for r in off:
-        print(f"  {_line(r)}: {100 * r['size_error']:.1f} %, {r['size_sigmas'] or np.nan:.1f} std")
-    high = [r for r in singles if r["outcome"] == "right" and (r.get("over_floor") or 0.0) > 1.2]
-    print(f"\nMore than 1.2 times the floor left ({len(high)}):")
-    for r in high:
-        print(f"  {_line(r)}: {r['over_floor']:.2f}")
 
 
 def _line(r: dict[str, Any]) -> str:
@@ -218,18 +190,8 @@ def main() -> int:
     parser.add_argument("--motors", type=int)
     parser.add_argument("--excitation", choices=["chirp", "noise", "stepped"])
     parser.add_argument("--json", type=Path, help="rows as JSON lines, written as they come")
-    parser.add_argument("--report", type=Path, nargs="+", help="print the tables of rows written before")
     arguments = parser.parse_args()
-    if arguments.report:
-        report([json.loads(line) for path in arguments.report for line in path.read_text().splitlines()])
-        return 0
-    options = {
-        "kind": arguments.kind,
-        "cause": arguments.cause,
-        "db": arguments.db,
-        "motors": arguments.motors,
-        "excitation": arguments.excitation,
-    }
+    options = {k: getattr(arguments, k) for k in ("kind", "cause", "db", "motors", "excitation")}
     jobs = [(seed, options) for seed in range(arguments.start, arguments.start + arguments.trials)]
     started = time.perf_counter()
     rows: list[dict[str, Any]] = []
@@ -243,7 +205,9 @@ def main() -> int:
             with arguments.json.open("a") as file:
                 file.write(json.dumps(row, ensure_ascii=False, default=float) + "\n")
 
-    each(jobs, trial, keep, arguments.jobs)
+    with get_context("spawn").Pool(arguments.jobs) as pool:
+        for row in pool.imap_unordered(trial, jobs):
+            keep(row)
     rows.sort(key=lambda r: r["seed"])
     report(rows)
     print(f"\n{len(rows)} trials in {time.perf_counter() - started:.0f} s")

@@ -1,7 +1,7 @@
 """Files and tables of drives that stand in the tree: ``python scripts/drive-tables.py``.
 
 Writes ``drivers/eds`` from the profiles of the simulated drives, and prints what ``docs/reference/drives.md``
-shows: the table of these files, the facts of the manuals with their sources, and how each drive is shaken.
+shows: the facts of the manuals with their sources, and how each drive is shaken.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from pathlib import Path
 
 from invid_drivers.cia402.stated.manuals import Answer, Manual
 from invid_drivers.cia402.stated.vendors import VENDORS
-from invid_drivers.eds import parse_eds
 from invid_drivers.simulated.eds import TYPES
 from invid_drivers.simulated.object_dictionary import Entry, Nameplate, ObjectDictionary, drive_dictionary
 from invid_drivers.simulated.vendors import PROFILES, Profile
@@ -95,30 +94,6 @@ _COLUMNS = {
 }  # fmt: skip
 
 
-def table(folder: Path) -> str:
-    """What each file says, as a table of the docs."""
-    lines = ["| EDS | " + " | ".join(_COLUMNS) + " | dummies | RPDO/TPDO |"]
-    lines.append("| --- " * (len(_COLUMNS) + 3) + "|")
-    for path in sorted(folder.glob("*.eds")):
-        try:
-            declared = parse_eds(path, 1)
-        except ValueError as error:
-            lines.append(f"| {path.stem} | " + " | ".join([""] * len(_COLUMNS)) + f" | | {error} |")
-            continue
-        cells = []
-        for index, sub in _COLUMNS.values():
-            entry = declared.find(index, sub)
-            word = "–" if entry is None else f"{entry.access_type}{', PDO' if entry.pdo_mappable else ''}"
-            if entry is not None and index in (0x6072, 0x6076, 0x605A, 0x6007):
-                word += f", {entry.default}"
-            cells.append(word)
-        counts = f"{declared.rpdos}/{declared.tpdos}"
-        lines.append(
-            f"| {path.stem} | {' | '.join(cells)} | {'yes' if declared.dummies else '–'} | {counts} |"
-        )
-    return "\n".join(lines)
-
-
 def twice(text: str) -> str:
     """The text with an option given twice, which some vendors' files have and no parser takes."""
     return text.replace("DataType=0x0006\n", "DataType=0x0006\nDataType=0x0006\n", 1)
@@ -198,7 +173,7 @@ def main() -> None:
     for name in PROFILES:
         (FILES / f"{name}.eds").write_text(eds_text(name), encoding="utf-8")
     (FILES / "does_not_parse.eds").write_text(twice(eds_text("generic")), encoding="utf-8")
-    print(f"{table(FILES)}\n\n{reference()}\n\n{ways()}")
+    print(f"{reference()}\n\n{ways()}")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +21,6 @@ from benchmarks.diagnosis.bench_real_data import DATA, ROOT
 from benchmarks.diagnosis.peer_torque import missed, shares
 from invid import import_recording
 from invid.diagnosis.rigid import diagnose_trajectory
-from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
-from invid.diagnosis.unknown_forces.structure_at_start import begin_with_structure
-from invid.identification.begun import begin_elastic
-from invid.identification.machine_kind import machine_kind
 from invid.model.diagnosis_document import Diagnosis
 from invid.numerics import budget
 from invid.recording import Experiment, Recording, Role
@@ -62,7 +57,6 @@ LEAGUE: list[tuple[str, str, str, float, str]] = [
     ("OpenArm joint 7", "openarm/joint_7.npz", "openarm_joint_7", 5.0, ""),
     ("TIAGo arm", "tiago", "tiago_arm", 10.0, ""),
     ("TX40 arm", "tx40", "tx40", 20.0, ""),
-    ("motor bench, current", "flexible_drive/MultisineTypeB.mat", "flexible_drive", 250.0, ""),
 ]
 """Title, source, map, band [Hz], published share [%] of kept-out torque; `league_data.sh` brings what
 `invid fetch-data` does not."""
@@ -108,44 +102,15 @@ def of_rigid_axes(a: Analysis, e: Experiment, axes: int) -> list[tuple[np.ndarra
     return [(even.torque[:, i], told[:, i], even.step) for i in range(axes)]
 
 
-def of_chains(found: Diagnosis, e: Experiment, axes: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """The same of an elastic machine: the stiffness that its motors feel, and linear effects beside it."""
-    chains, even = found.model.chains, resample_uniformly(e)
-    damping, motors = np.array(chains.damping_matrix), chains.motor_dofs
-    for effect in found.model.effects:
-        if effect.cause == "viscous_friction":
-            mass = (
-                motors[found.model.axes.index(effect.axis)] + int((effect.element or "mass 1").split()[1]) - 1
-            )
-            damping[mass, mass] += effect.value("coefficient")
-    jw = 2j * np.pi * np.fft.rfftfreq(even.samples, even.step)[1:, None, None]
-    whole = chains.stiffness_matrix + jw * damping + jw**2 * chains.mass_matrix
-    felt = np.linalg.inv(np.linalg.inv(whole)[:, motors][:, :, motors])
-    late = [0.0] * axes
-    for effect in found.model.effects:
-        if effect.cause == "torque_delay":
-            late[found.model.axes.index(effect.axis)] += effect.value("delay")
-    wave = np.einsum("fij,fj->fi", felt, np.fft.rfft(even.position - even.position.mean(0), axis=0)[1:])
-    wave *= np.exp(jw[:, :, 0] * np.array(late))
-    told = np.fft.irfft(np.concatenate([np.zeros((1, axes)), wave]), even.samples, axis=0)
-    return [(even.torque[:, i] - even.torque[:, i].mean(), told[:, i], even.step) for i in range(axes)]
-
-
 def ours(recording: Recording) -> tuple[Diagnosis, Parts]:
-    """The diagnosis of what peers are fitted to, and what it says of each axis' held-out parts."""
+    """The diagnosis (of large motion) of what peers are fitted to, and what it says of each axis' held-out
+    parts."""
     held, axes = recording.with_role(Role.VALIDATE), recording.axis_count
     recording = replace(recording, experiments=recording.with_role(Role.IDENTIFY))
     with budget.use_budget(budget.Budget(BUDGET, time.process_time)), np.errstate(all="ignore"):
-        begin = cache(partial(begin_elastic, recording, None, start=begin_with_structure))
-        with budget.use_share(1.0, 0.0, 0.3):
-            kind = machine_kind(recording, None, begin, 0.5)
-        if kind.rigid:
-            a = kind.analysis or analyse(recording)
-            found = diagnose_trajectory(recording, analysis=a)
-            parts = [of_rigid_axes(a, e, axes) for e in held]
-        else:
-            found = diagnose_elastic(begin())
-            parts = [of_chains(found, e, axes) for e in held]
+        a = analyse(recording)
+        found = diagnose_trajectory(recording, analysis=a)
+    parts = [of_rigid_axes(a, e, axes) for e in held]
     return found, [list(p) for p in zip(*parts, strict=True)]
 
 

@@ -1,10 +1,10 @@
 """Processor seconds of identification and diagnosis on one core, and their ratio to a fixed workload.
 
-    python benchmarks/diagnosis/bench_speed.py [CASE …] [-o TABLE.json] [--against TABLE.json] [--timeout 600]
+    python benchmarks/diagnosis/bench_speed.py [CASE …] [--timeout 1800]
 
 Every command runs in a process of its own, bound to one core; counted is what it used after its imports. The
 reference workload (FFTs, sorts and small solves) runs in the same process before it, so that the ratio says
-the same on a faster machine. ``--against`` prints the figures of an earlier table beside.
+the same on a faster machine.
 
 plain, dry        three axes, 20 s an experiment: nothing hidden; dry friction on each
 demo              the demo's recording: three axes, dry and viscous friction on each
@@ -12,7 +12,6 @@ rubbing, cell     three axes, 200 s, dry and viscous friction on each; a ripple 
 aperiodic         one axis, 2 × 10 s at 2 kHz, chirps that do not repeat, friction at the motor, N unknown
 bench             a motor bench (../shared/data/flexible_drive), 20 periods of 2,500 samples, N unknown
 six, eight        identification of M = 6 and M = 8 axes of three masses, all shaken at once
-growth            identification of one axis, 40 s, 80 s and 160 s
 help              `invid --help`, imports and all
 """
 
@@ -21,9 +20,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,9 +31,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+
+from hidden.generator import make_cell
+
+from benchmarks.diagnosis.bench_real_data import DATA, ROOT
+from benchmarks.frozen.cases import command
+from benchmarks.identification.bench_identify import measured
+from benchmarks.shared import plant_oracle as oracle
+from invid.config import load_config
+from invid.diagnosis.diagnose import diagnose
+from invid.identification.identify import identify
+from invid.model.diagnosis_document import load_model
+from invid.recording import read_recording, write_recording
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid_drivers.measurement import measure_to_file
+from invid_drivers.simulated import CASE_STUDY
 
 BARS = {
     ("demo", "identify"): 1.0, ("demo", "diagnose"): 5.0, ("cell", "identify"): 1.5,
@@ -43,58 +57,36 @@ BARS = {
     ("eight", "identify"): 60.0, ("help", "help"): 0.3,
 }  # fmt: skip
 """CPU seconds; a diagnosis of ``aperiodic`` and ``bench`` identifies first, others start from the model."""
-ALONE = ("aperiodic", "bench")
-"""Cases whose diagnosis is given no model."""
-IDENTIFIED = ("six", "eight", "growth40", "growth80", "growth160")
-"""Cases that are identified only."""
 
 
 def demo(place: Path) -> None:
     """The demo's measurement."""
-    from invid.config import load_config
-    from invid_drivers.measurement import measure_to_file
-    from invid_drivers.simulated import CASE_STUDY
-
     measure_to_file(load_config(CASE_STUDY), place)
 
 
 FRICTION = (("coulomb_friction", 25.0), ("viscous_friction", 20.0))
 """Laws at every motor, and how far they stand above the noise [dB]."""
-FAULTS = (("cogging", 0, 20.0), ("backlash", 2, 25.0))
-"""Further causes, their axes and the same."""
+FAULTS = (("cogging", 0, 1, 20.0), ("backlash", 2, 1, 25.0))
+"""Further causes, their axes and elements, and the same."""
 
 
-def cell(
-    place: Path, *, friction: tuple[Any, ...] = FRICTION, faults: tuple[Any, ...] = FAULTS, periods: int = 4
-) -> None:
+def cell(place: Path, *, laws: int = 2, faults: tuple[Any, ...] = (), periods: int = 4) -> None:
     """Three axes of the paper's chains with friction on each, and faults besides."""
-    from hidden.causes import CATALOGUE
-    from hidden.generator import calibrated
-    from hidden.measurement import Active, record
-    from hidden.plants import paper_plant
-    from hidden.setup import draw_setup
-
-    from invid.recording import write_recording
-
-    rng = np.random.default_rng(25)
-    plant = paper_plant(rng)
-    setup = draw_setup(rng, plant, moves=False, periods=periods, from_rest=False, drive="sampled", noise=2e-3)
-    active: list[Active] = []
-    for axis in range(3):
-        for name, target in friction:
-            active.append(calibrated(rng, setup, CATALOGUE[name], axis, 1, -1, target))
-    for name, axis, target in faults:
-        active.append(calibrated(rng, setup, CATALOGUE[name], axis, 1, -1, target))
-    recording, _, _ = record(rng, setup, tuple(active), [len(m) for m in plant.chains.masses])
+    rubbing = [(name, axis, 1, db) for axis in range(3) for name, db in FRICTION[:laws]]
+    recording, _ = make_cell(
+        [*rubbing, *faults],
+        seed=25,
+        moves=False,
+        periods=periods,
+        from_rest=False,
+        drive="sampled",
+        noise=2e-3,
+    )
     write_recording(recording, place)
 
 
 def aperiodic(place: Path) -> None:
     """Two chirps of 10 s at 2 kHz of one axis of two masses, dry and viscous friction at the motor."""
-    from benchmarks.shared import plant_oracle as oracle
-    from invid.recording import write_recording
-    from invid.recording.model import Experiment, Kind, Recording, Role
-
     rng, rate, seconds = np.random.default_rng(2), 2000.0, 10.0
     masses, springs = [[0.05, 0.12]], [[90.0]]
     plant = oracle.OraclePlant(masses, springs, [[0.03]], coulomb=(0.25,), viscous=(0.05,))
@@ -118,64 +110,36 @@ def aperiodic(place: Path) -> None:
 
 def bench(place: Path) -> None:
     """The motor bench as it was measured, but for the number of masses."""
-    import yaml
-
-    from benchmarks.frozen.cases import _import
-
     chart = yaml.safe_load((ROOT / "configs" / "import" / "flexible_drive.yaml").read_text(encoding="utf-8"))
     del chart["axes"][0]["masses"]
-    with tempfile.TemporaryDirectory() as name:
-        unknown = Path(name) / "map.yaml"
-        unknown.write_text(yaml.safe_dump(chart), encoding="utf-8")
-        source = ROOT.parent / "shared" / "data" / "flexible_drive" / "MultisineTypeB.mat"
-        if not source.exists():
-            source = ROOT.parents[1] / "shared" / "data" / "flexible_drive" / "MultisineTypeB.mat"
-        _import(source, unknown, place)
+    unknown = place.with_suffix(".yaml")
+    unknown.write_text(yaml.safe_dump(chart), encoding="utf-8")
+    source = DATA / "flexible_drive" / "MultisineTypeB.mat"
+    command("import", str(source), "--map", str(unknown), "-o", str(place))
 
 
 def large(count: int) -> Callable[[Path], None]:
     """``count`` axes of three masses, every one shaken; 20 s an experiment."""
 
     def make(place: Path) -> None:
-        from benchmarks.identification.bench_identify import measure
-        from benchmarks.shared import plant_oracle as oracle
-        from invid.recording import write_recording
-
         rng = np.random.default_rng(0)
         plant = oracle.random_plant(rng, [3] * count)
         mass, _, stiffness, _ = plant.matrices
         top = float(np.sqrt(np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness))).max())) / 2 / np.pi
         peak = 10.0 * np.array([sum(m) for m in plant.masses])
-        recording = measure(plant, rng, period=10_000, periods=2, settle=3, band=(0.3, 1.25 * top), peak=peak)
+        recording = measured(plant, rng, peak, periods=2, top_hz=1.25 * top)
         write_recording(replace(recording, masses_per_axis=(3,) * count), place)
 
     return make
 
 
-def growth(periods: int) -> Callable[[Path], None]:
-    """One axis of two masses, ``periods`` periods of 20 s in one experiment: longer, nothing else."""
-
-    def make(place: Path) -> None:
-        from benchmarks.identification.bench_identify import measure
-        from benchmarks.shared import plant_oracle as oracle
-        from invid.recording import write_recording
-
-        plant = oracle.OraclePlant([[1.0, 2.0]], [[1500.0]], [[0.8]], coulomb=(0.6,))
-        recording = measure(
-            plant, np.random.default_rng(0), period=20_000, periods=periods, settle=1, band=(0.3, 13.0),
-            peak=np.array([20.0]), bits=19, noise=0.002,
-        )  # fmt: skip
-        write_recording(replace(recording, masses_per_axis=(2,)), place)
-
-    return make
-
-
-CASES: dict[str, Callable[[Path], None]] = {
-    "plain": partial(cell, friction=(), faults=(), periods=2),
-    "dry": partial(cell, friction=FRICTION[:1], faults=(), periods=2),
-    "demo": demo, "rubbing": partial(cell, faults=()), "cell": cell,
-    "aperiodic": aperiodic, "bench": bench, "six": large(6), "eight": large(8),
-    "growth40": growth(2), "growth80": growth(4), "growth160": growth(8), "help": lambda _: None,
+BOTH = ("identify", "diagnose")
+CASES: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
+    "plain": (partial(cell, laws=0, periods=2), BOTH), "dry": (partial(cell, laws=1, periods=2), BOTH),
+    "demo": (demo, BOTH), "rubbing": (cell, BOTH), "cell": (partial(cell, faults=FAULTS), BOTH),
+    "aperiodic": (aperiodic, ("diagnose",)), "bench": (bench, ("diagnose",)),
+    "six": (large(6), ("identify",)), "eight": (large(8), ("identify",)),
+    "help": (lambda _: None, ("help",)),
 }  # fmt: skip
 
 
@@ -193,91 +157,59 @@ def reference() -> float:
     return time.process_time() - started
 
 
-def helped() -> dict[str, Any]:
-    """What the command uses to print its help, from its start."""
-    import resource
-
-    subprocess.run([sys.executable, "-m", "invid", "--help"], check=True, stdout=subprocess.DEVNULL)
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    seconds = used.ru_utime + used.ru_stime
-    return {"cpu_s": seconds, "peak_MB": used.ru_maxrss / 1024, "answer": [], "numpy": []}
-
-
 def timed(task: str, recording: Path, model: Path) -> dict[str, Any]:
     """Runs one task in this process, bound to one core; what it used and what it answered."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    import resource
-    import warnings
-
-    from invid.diagnosis.diagnose import diagnose  # imports count for the start, not here
-    from invid.identification.identify import identify
-    from invid.model.document import load_model, save_model
-    from invid.recording import read_recording
-
-    yardstick = reference()
+    yardstick, who, answer = reference(), resource.RUSAGE_SELF, ""
     if task == "help":
-        return {**helped(), "reference_s": yardstick}
-    data = read_recording(recording)
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        given = load_model(model) if task == "diagnose" and model.exists() else None
-        started = time.process_time()
+        subprocess.run([sys.executable, "-m", "invid", "--help"], check=True, stdout=subprocess.DEVNULL)
+        who, started = resource.RUSAGE_CHILDREN, 0.0
+    else:
+        data, given = read_recording(recording), load_model(model) if model.exists() else None
+        started = sum(resource.getrusage(who)[:2])
         if task == "identify":
             found = identify(data)
-            answer = [" ".join(str(n) for n in found.chains.masses_per_branch)]
-            answer += [] if found.fit.get("trustworthy", True) else ["not trustworthy"]
-            save_model(found, model)
+            found.save(model)
+            answer = " ".join(str(n) for n in found.chains.masses_per_branch)
         else:
             made = diagnose(data, model=given)
-            answer = [str(made.verdict), *(f"{f.cause}@{f.axis}" for f in made.findings)]
-        used = time.process_time() - started
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    runtime = sorted({str(w.message) for w in said if issubclass(w.category, RuntimeWarning)})
-    return {"cpu_s": used, "reference_s": yardstick, "peak_MB": peak, "answer": answer, "numpy": runtime}
+            answer = " ".join([str(made.verdict), *(f"{f.cause}@{f.axis}" for f in made.findings)])
+    used = resource.getrusage(who)
+    seconds = used.ru_utime + used.ru_stime - started
+    return {
+        "cpu_s": seconds,
+        "ratio": seconds / yardstick,
+        "peak_MB": used.ru_maxrss / 1024,
+        "answer": answer,
+    }
 
 
-def run(case: str, cache: Path, seconds: float) -> dict[str, dict[str, Any]]:
-    """All tasks of a case, each in a process of its own."""
+def run(case: str, task: str, cache: Path, seconds: float) -> bool:
+    """One line of the table, of a task in a process of its own; whether its bar is held."""
     recording, model = cache / f"{case}.h5", cache / f"{case}.model.json"
-    if case != "help" and not recording.exists():
-        print(f"{case}: making the recording", file=sys.stderr, flush=True)
-        CASES[case](recording)
-    model.unlink(missing_ok=True)
-    tasks = ["diagnose"] if case in ALONE else ["help" if case == "help" else "identify"]
-    tasks += ["diagnose"] if case not in (*ALONE, *IDENTIFIED, "help") else []
-    found = {}
-    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    path = os.pathsep.join(str(ROOT / p) for p in (".", "drivers", "service"))
-    for task in tasks:
-        command = [sys.executable, __file__, "--task", task, str(recording), str(model)]
-        environment = {**os.environ, **threads, "PYTHONPATH": path}
-        try:
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=seconds)
-        except subprocess.TimeoutExpired:
-            found[task] = {"failed": f"not done after {seconds:g} s"}
-            continue
-        lines = done.stdout.strip().splitlines()
-        if done.returncode or not lines:
-            found[task] = {"failed": done.stderr.strip().splitlines()[-1:] or "no answer"}
-        else:
-            found[task] = json.loads(lines[-1])
-    return found
-
-
-def row(case: str, task: str, now: dict[str, Any], before: dict[str, Any] | None) -> str:
-    """One line of the table."""
-    if "failed" in now:
-        return f"{case:<10} {task:<9} {now['failed']}"
-    bar = BARS.get((case, task))
-    missed = " MISSED" if bar is not None and now["cpu_s"] > bar else ""
-    against = "" if bar is None else f" (bar {bar:g}){missed}"
-    old = "" if not before or "failed" in before else f" before {before['cpu_s']:.2f} s,"
-    numpy = "".join(f" NUMPY: {w}" for w in now["numpy"])
-    ratio = now["cpu_s"] / now["reference_s"]
-    return (
-        f"{case:<10} {task:<9}{old} {now['cpu_s']:8.2f} s{against}, {ratio:.2f} × reference, "
-        f"{now['peak_MB']:.0f} MB: {' '.join(now['answer'])}{numpy}"
+    command = [sys.executable, __file__, "--task", task, str(recording), str(model)]
+    own = {
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join(str(ROOT / p) for p in (".", "drivers", "service")),
+    }
+    try:
+        done = subprocess.run(
+            command, env=os.environ | own, capture_output=True, text=True, timeout=seconds, check=True
+        )
+    except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
+        print(f"{case:<10} {task:<9} {error}", flush=True)
+        return False
+    now = json.loads(done.stdout.splitlines()[-1])
+    bar = BARS.get((case, task), np.inf)
+    held = bool(now["cpu_s"] <= bar)
+    against = f" (bar {bar:g}){'' if held else ' MISSED'}" if np.isfinite(bar) else ""
+    print(
+        f"{case:<10} {task:<9} {now['cpu_s']:8.2f} s{against}, {now['ratio']:.2f} × reference, "
+        f"{now['peak_MB']:.0f} MB: {now['answer']}",
+        flush=True,
     )
+    return held
 
 
 def main() -> int:
@@ -287,31 +219,24 @@ def main() -> int:
     )
     parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; all without")
     parser.add_argument("--task", help=argparse.SUPPRESS)
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--against", type=Path)
     parser.add_argument("--timeout", type=float, default=1800.0, help="wall seconds that one task may take")
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     parser.add_argument("--cache", type=Path, default=home / "invid-speed")
     options = parser.parse_args()
     if options.task:
-        print(json.dumps(timed(options.task, Path(options.cases[0]), Path(options.cases[1]))))
+        print(json.dumps(timed(options.task, *map(Path, options.cases))))
         return 0
-    unknown = [c for c in options.cases if c not in CASES]
-    if unknown:
-        raise SystemExit(f"{unknown[0]}: no case; there are {', '.join(CASES)}")
     options.cache.mkdir(parents=True, exist_ok=True)
-    before = json.loads(options.against.read_text(encoding="utf-8")) if options.against else {}
-    table: dict[str, dict[str, Any]] = {}
-    missed = False
+    held = True
     for case in options.cases or CASES:
-        table[case] = run(case, options.cache, options.timeout)
-        for task, now in table[case].items():
-            print(row(case, task, now, before.get(case, {}).get(task)), flush=True)
-            missed |= "failed" in now or now["cpu_s"] > BARS.get((case, task), np.inf)
-    if options.output:
-        kept = json.loads(options.output.read_text(encoding="utf-8")) if options.output.exists() else {}
-        options.output.write_text(json.dumps({**kept, **table}, indent=1, ensure_ascii=False))
-    return int(missed)
+        make, tasks = CASES[case]
+        (options.cache / f"{case}.model.json").unlink(missing_ok=True)
+        if case != "help" and not (options.cache / f"{case}.h5").exists():
+            print(f"{case}: making the recording", file=sys.stderr, flush=True)
+            make(options.cache / f"{case}.h5")
+        for task in tasks:
+            held &= run(case, task, options.cache, options.timeout)
+    return int(not held)
 
 
 if __name__ == "__main__":

@@ -21,8 +21,6 @@ import argparse
 import json
 import random
 import sys
-import time
-from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -52,7 +50,7 @@ def jobs(wished: argparse.Namespace) -> Iterator[Job]:
         and (not wished.loads or loads in wished.loads)
     ]
     if not cells:
-        raise SystemExit("no such kind in that phase with so many loads; --list shows them")
+        raise SystemExit("no such kind in that phase with so many loads")
     count = wished.runs or len(cells)
     for n in range(count):
         turn, k = divmod(n, len(cells))
@@ -66,64 +64,31 @@ def run_one(job: Job, keep: Path | None = None) -> dict[str, Any]:
     if not _campaign:
         _campaign.append(Campaign(keep))
     n, kind, phase, loads, seed = job
-    began = time.monotonic()
     outcome = _campaign[0].run(kind, phase, loads, seed)
     v = outcome.verdict
+    at = "" if phase == ALWAYS else f" at {outcome.draft.at:.2f} s"
+    said = [] if outcome.run is None or v.word == "OK" else outcome.run.words.strip().splitlines()[-1:]
     return {
-        "n": n, "kind": kind, "phase": phase, "loads": loads, "seed": seed, "word": v.word,
-        "bad": list(v.bad), "note": v.note, "stop_s": v.stop_s, "end_s": v.end_s,
-        "at": None if phase == ALWAYS else round(outcome.draft.at, 3),
-        "said": [] if outcome.run is None else outcome.run.words.strip().splitlines()[-1:],
-        "seconds": round(time.monotonic() - began, 1),
+        "n": n, "kind": kind, "phase": phase, "word": v.word, "stop_s": v.stop_s, "end_s": v.end_s,
+        "line": f"{v.word:<9} {n:>3} {kind} / {phase} / {loads}{at} (seed {seed}): "
+        + " | ".join([v.note, *(f"BAD {b}" for b in v.bad), *(w[:160] for w in said)]),
     }  # fmt: skip
 
 
-def line(row: dict[str, Any]) -> str:
-    """A row as a line."""
-    where = f"{row['kind']} / {row['phase']} / {row['loads']}"
-    at = "" if row["at"] is None else f" at {row['at']:.2f} s"
-    bad = "; ".join(row["bad"])
-    said = " ".join(row["said"])[:160] if row["word"] != "OK" else ""
-    return (
-        f"{row['word']:<9} {row['n']:>3} {where}{at} (seed {row['seed']}, {row['seconds']:.0f} s): "
-        f"{row['note']}{' | BAD ' + bad if bad else ''}{' | ' + said if said else ''}"
-    )
-
-
 def table(rows: list[dict[str, Any]]) -> str:
-    """Kind against phase and loads: violations (v) and refusals (r) of runs."""
-    count: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0, 0])
-    for row in rows:
-        for column in (row["phase"], f"{row['loads']} loads", "all"):
-            for kind in (row["kind"], "all"):
-                cell = count[kind, column]
-                cell[0] += row["word"] == "VIOLATION"
-                cell[1] += row["word"] == "REFUSED"
-                cell[2] += row["word"] != "MISSED"
-    columns = [*PHASES, ALWAYS, *(f"{n} loads" for n in range(4)), "all"]
-    out = [
-        "| violations + refused / runs | " + " | ".join(columns) + " |",
-        "|" + " --- |" * (len(columns) + 1),
-    ]
-    for kind in [k for k in KINDS if (k, "all") in count] + ["all"]:
-        cells = []
-        for c in columns:
-            v, r, n = count.get((kind, c), (0, 0, 0))
-            cells.append((f"{v}{f'+{r}r' if r else ''}/{n}") if n else "")
-        out.append(f"| {kind} | " + " | ".join(cells) + " |")
-    return "\n".join(out)
-
-
-def stops(rows: list[dict[str, Any]]) -> str:
-    """Longest time from a person's stop to standing, and to the end of the command, by phase."""
-    out = ["| stopped in | runs | standing after [s] | ended after [s], bound " + f"{STOPPED_S:.0f} |"]
-    out.append("|" + " --- |" * 4)
-    for phase in [*PHASES, ALWAYS]:
-        own = [r for r in rows if r["phase"] == phase and r.get("stop_s") is not None]
-        if own:
-            most = [max(r[k] or 0.0 for r in own) for k in ("stop_s", "end_s")]
-            out.append(f"| {phase} | {len(own)} | {most[0]:.2f} | {most[1]:.2f} |")
-    return "\n".join(out)
+    """Kind against phase: violations (v) and refusals (r) of runs."""
+    columns = [*PHASES, ALWAYS, "all"]
+    out = [["violations + refused / runs", *columns], ["---"] * (len(columns) + 1)]
+    for kind in [*dict.fromkeys(r["kind"] for r in rows), "all"]:
+        out.append([kind])
+        for column in columns:
+            own = [
+                r["word"] for r in rows
+                if kind in (r["kind"], "all") and column in (r["phase"], "all") and r["word"] != "MISSED"
+            ]  # fmt: skip
+            refused = f"+{own.count('REFUSED')}r" if "REFUSED" in own else ""
+            out[-1].append(f"{own.count('VIOLATION')}{refused}/{len(own)}" if own else "")
+    return "\n".join(f"| {' | '.join(row)} |" for row in out)
 
 
 def main() -> int:
@@ -138,44 +103,29 @@ def main() -> int:
     parser.add_argument("--loads", nargs="*", type=int, choices=range(4))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--results", type=Path, help="keep each run here (JSON lines), and go on from it")
-    parser.add_argument("--only", type=int, nargs="*", help="these numbers of the same draw")
     parser.add_argument(
         "--keep", type=Path, help="keep spec, config, trace and events of each run in this folder"
     )
-    parser.add_argument("--list", action="store_true", help="kinds and what they meet")
-    parser.add_argument("--table", action="store_true", help="only the table of --results")
     wished = parser.parse_args()
-    if wished.list:
-        for name, what in KINDS.items():
-            doc = " ".join((what.make.__doc__ or "").split())
-            healthy = " (healthy)" if what.healthy else ""
-            print(f"{name}{healthy}: {doc} [{', '.join(what.phases)}; {what.loads}]")
-        return 0
     if wished.keep:
         wished.keep.mkdir(parents=True, exist_ok=True)
     kept = wished.results
     rows = [json.loads(x) for x in kept.read_text().splitlines()] if kept and kept.exists() else []
     done = {row["n"] for row in rows}
-    todo = [j for j in jobs(wished) if j[0] not in done and (not wished.only or j[0] in wished.only)]
-
-    def take(row: dict[str, Any]) -> None:
-        rows.append(row)
-        print(line(row), flush=True)
-        if kept:
-            with kept.open("a") as out:
-                out.write(json.dumps(row) + "\n")
-
-    if wished.table:
-        todo = []
-    if wished.jobs > 1:
-        with ProcessPoolExecutor(wished.jobs) as pool:
-            for row in pool.map(run_one, todo, [wished.keep] * len(todo)):
-                take(row)
-    else:
-        for job in todo:
-            take(run_one(job, wished.keep))
+    todo = [j for j in jobs(wished) if j[0] not in done]
+    with ProcessPoolExecutor(wished.jobs) as pool:
+        for row in pool.map(run_one, todo, [wished.keep] * len(todo)):
+            rows.append(row)
+            print(row["line"], flush=True)
+            if kept:
+                with kept.open("a") as out:
+                    out.write(json.dumps(row) + "\n")
     print(table(rows))
-    print(stops(rows))
+    for what in ("stop_s", "end_s"):
+        longest = max((r[what] for r in rows if r["stop_s"] is not None and r[what] is not None), default=0.0)
+        print(
+            f"from a person's stop, longest {what}: {longest:.2f} (the command ends within {STOPPED_S:.0f} s)"
+        )
     words = {w: sum(r["word"] == w for r in rows) for w in ("OK", "VIOLATION", "REFUSED", "MISSED")}
     print(f"{len(rows)} runs: " + ", ".join(f"{n} {w}" for w, n in words.items()))
     return 1 if words["VIOLATION"] or words["REFUSED"] else 0

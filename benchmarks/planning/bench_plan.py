@@ -1,4 +1,4 @@
-"""Planning: robot time of every plan, to what it shows, beside settled periods and stepped sine.
+"""Planning: robot time of every plan, to what it shows, beside settled periods.
 
     python benchmarks/planning/bench_plan.py [--seeds N] [--first S]
 
@@ -22,24 +22,17 @@ import numpy as np
 from invid.api import diagnose
 from invid.config import CellConfig, load_config
 from invid.errors import InvidError
-from invid.identification.begun import settled_about
-from invid.identification.fitted_model import chains_of
 from invid.identification.identify import identify
-from invid.identification.kept_out import all_records
 from invid.model.document import parameter_vector
-from invid.planning import make_plan
 from invid.planning.expected_covariance import is_in_goal, parameter_scale
 from invid.recording import read_recording
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.screening import screen_cell
 from invid_drivers.simulated import truth
-from invid_drivers.stopping_budgets import Wish
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
 GOAL = 0.01
-FREQUENCIES = 16
-"""Of stepped sine, an axis."""
 FRICTIONS = ("coulomb_friction", "viscous_friction")
 SURE = 0.9
 
@@ -92,19 +85,9 @@ def settled(config: CellConfig, path: Path) -> Run:
     return judged(changed, path, measure_to_file(changed, path).duration_s)
 
 
-def default(config: CellConfig, path: Path) -> Run:
-    """The default plan."""
-    return judged(config, path, measure_to_file(config, path).duration_s)
-
-
-def unchanged(config: CellConfig, path: Path) -> Run:
-    """``--screen`` against the model of the default plan; ``wrong`` where it is not called unchanged."""
-    return screened(config, config, path, "unchanged")
-
-
 def changed(config: CellConfig, path: Path) -> Run:
-    """The same on the cell with a mass, spring or coupling of its own changed by 3 to 10 %, up or down, drawn
-    by its seed; ``wrong`` where it is not called changed."""
+    """``--screen`` on the cell with a mass, spring or coupling of its own changed by 3 to 10 %, up or down,
+    drawn by its seed; ``wrong`` where it is not called changed."""
     rng = np.random.default_rng(config.simulation["seed"])
     plant = truth(config)
     masses, springs = ([np.array(v) for v in vs] for vs in (plant.masses, plant.springs))
@@ -137,7 +120,8 @@ def changed(config: CellConfig, path: Path) -> Run:
 
 
 def screened(before: CellConfig, now: CellConfig, path: Path, right: str) -> Run:
-    """``--screen`` of a cell against the model that the default plan gave of it before."""
+    """``--screen`` of a cell against the model that the default plan gave of it before; ``wrong`` where it is
+    not called ``right``."""
     measure_to_file(before, path)
     model = diagnose(read_recording(path)).model
     found = screen_cell(now, model, path, noise=sensor_noise(now))
@@ -146,25 +130,12 @@ def screened(before: CellConfig, now: CellConfig, path: Path, right: str) -> Run
     return Run(found.result.duration_s, float("nan"), 0, int(found.screening.verdict != right))
 
 
-def stepped(config: CellConfig, path: Path) -> Run:
-    """Stepped sine at half the peak torque of the default plan where held axes bear that, limits of travel
-    and speed lifted; plan and fit start at the truth."""
-    changed = stepped_config(config.simulation["seed"], FREQUENCIES, 0.5 * make_plan(config).peak_torque)
-    try:
-        seconds = measure_to_file(changed, path, Wish(model=truth(config))).duration_s
-    except InvidError as error:
-        print(f"    {error}"[:150])
-        return Run(float("inf"), float("inf"), 0, 0)
-    return Run(seconds, stepped_error(changed, path), 0, 0)
-
-
 PLANS = {
     # name: measurement, longest robot time [s], frictions to be named, share of the seeds
     "settled periods": (settled, np.inf, 0, 0.1),
-    "default": (default, 60.0, 6, 1.0),
-    "--screen": (unchanged, 12.0, 0, 1.0),
+    "default": (lambda c, p: judged(c, p, measure_to_file(c, p).duration_s), 60.0, 6, 1.0),
+    "--screen": (lambda c, p: screened(c, c, p, "unchanged"), 12.0, 0, 1.0),
     "--screen changed": (changed, 12.0, 0, 1.0),
-    "stepped sine": (stepped, np.inf, 0, 0.05),
 }
 
 
@@ -191,37 +162,6 @@ def robot_time(seeds: range, folder: Path) -> bool:
             bars = np.median(seconds) <= most, not worst > GOAL, named >= least, wrong == 0
             passed &= all(bars)
     return bool(passed)
-
-
-def stepped_error(config: CellConfig, path: Path) -> float:
-    """Largest relative error of the same fit on stepped sine, from the truth."""
-    plant = replace(truth(config), ground_dampers=np.zeros(3))
-    try:
-        end = settled_about(plant, all_records(read_recording(path)))
-        chains, _ = chains_of(end, plant.axes)
-    except (InvidError, np.linalg.LinAlgError) as error:
-        print(f"    {error}"[:150])
-        return float("inf")
-    names, values = parameter_vector(plant)
-    off = np.abs(parameter_vector(chains)[1] - values) / parameter_scale(plant)
-    return float(off[is_in_goal(names)].max())
-
-
-def stepped_config(seed: int, count: int, peaks: np.ndarray) -> CellConfig:
-    """One axis after another, frequencies evenly spread on a logarithmic scale, 5 + 10 cycles each."""
-    document = cell(seed).model_dump(mode="python")
-    for axis in document["axes"]:
-        axis["limits"] |= {"position": 20.0, "velocity": 200.0}
-    document["experiments"] = [
-        {
-            "kind": "stepped_sine",
-            "axes": (axis["name"],),
-            "amplitude": float(peak / axis["limits"]["torque"]),
-            "frequencies_Hz": tuple(float(f) for f in np.geomspace(0.6, 12.0, count)),
-        }
-        for axis, peak in zip(document["axes"], peaks, strict=True)
-    ]
-    return CellConfig.model_validate(document)
 
 
 def main() -> int:

@@ -58,8 +58,8 @@ swings behind it. Empirical: 4.2 at most (``tests/machines/test_announced.py``).
 ROUNDS = 6
 CREEP_RATIO = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).
-``bench_identify.py --case creep``, peak twice the friction: there every seed is good to 1 %; with three
-fifths of it two seeds were, with three tenths none."""
+Empirical, peak twice the friction: there every seed was good to 1 %; with three fifths of it two were, with
+three tenths none."""
 
 
 @dataclass(frozen=True, eq=False)

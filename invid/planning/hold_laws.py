@@ -25,7 +25,7 @@ study)."""
 CENTRING_SHARE = 1.0 / 3.0
 """Its natural frequency as a share of the lowest excited line: far enough below to leave the excitation
 nearly alone, fast enough to bring the axis back during a rest of a second or two, and stiff enough for
-what is not known of a load. Empirical (case study, ``tests/machines/ordinary.py``)."""
+what is not known of a load. Empirical (case study, ``tests/machines/cells.py``)."""
 
 
 @dataclass(frozen=True)

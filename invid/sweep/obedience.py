@@ -28,7 +28,7 @@ from invid.wording.sentence import sentence
 
 LONGEST_S, SHARE = 0.016, 0.25
 """A block is so long, and at most that share of the period of the fastest line: the counts of an encoder then
-weigh least (empirical, cells of ``tests/machines/ordinary.py`` and the case study)."""
+weigh least (empirical, cells of ``tests/machines/cells.py`` and the case study)."""
 WAYS, TORQUES = 8, 4
 """Blocks that are remembered: two for each of three modes and two to spare, and the delays of drives."""
 ROWS = 5 * (WAYS + TORQUES + 1)

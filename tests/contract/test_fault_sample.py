@@ -1,4 +1,4 @@
-"""One run of every kind of fault of the campaign (`benchmarks/drivers/bench_faults.py` runs hundreds)."""
+"""One run of every kind of fault (`tests/machines/faults.py`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.drivers import bench_faults as campaign
+from tests.machines import faults as campaign
 
 # One worker: what numba compiles for the plant is compiled once.
 pytestmark = pytest.mark.xdist_group("faults")

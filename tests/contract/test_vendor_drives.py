@@ -23,7 +23,7 @@ from invid_drivers.simulated.cell import SimulatedCell
 ROOT = Path(__file__).parents[2]
 EDS = ROOT / "drivers" / "eds"
 TABLES = runpy.run_path(str(ROOT / "scripts" / "drive-tables.py"))
-eds_text, table = TABLES["eds_text"], TABLES["table"]
+eds_text = TABLES["eds_text"]
 SCALES = {"rated_torque_Nm": 100, "position_rad_per_count": 1.1984e-5}
 
 
@@ -55,11 +55,6 @@ def config(node: Path, named: Path | None, vendor: str = "generic", **axis: Any)
 
 def file(name: str) -> Path:
     return EDS / f"{name}.eds"
-
-
-def test_the_table_in_the_docs_is_that_of_the_files() -> None:
-    text = (ROOT / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
-    assert table(EDS) in text
 
 
 # From notes on 16 vendors' files, not from the code: what each lacks, and what is zero.

@@ -6,10 +6,10 @@ import json
 import re
 
 import pytest
-from pages import ROOT, run_page
+from pages import DATA, ROOT, run_page
+from rigid_figures import friction_models, simulation_error
 
-from benchmarks.diagnosis.rigid_figures import friction_models, simulation_error
-from invid import read_recording
+from invid import diagnose, import_recording, read_recording
 from invid.model.document import model_from_json
 from invid.recording import Recording
 
@@ -114,3 +114,15 @@ def test_the_large_robot_has_viscous_and_dry_friction(results):
     assert parameters(robot, "viscous_friction")["coefficient"] == pytest.approx(1939.5, rel=0.15)
     assert parameters(robot, "coulomb_friction")["torque"] == pytest.approx(350.0, rel=0.25)
     assert error(robot, "held_out") < 19.0
+
+
+def test_a_commanded_current_acts_half_a_millisecond_behind_the_measured_one(tmp_path):
+    source, late = DATA / "flexible_drive" / "MultisineTypeB.mat", {}
+    if not source.exists():
+        pytest.skip(f"measured data are not there ({source}): the commanded current is NOT checked")
+    for chart in ("flexible_drive", "flexible_drive_commanded"):
+        bench = import_recording(source, ROOT / "configs" / "import" / f"{chart}.yaml")
+        found = diagnose(bench, budget=60)
+        named = [f.parameters["delay"].value for f in found.findings if f.cause == "torque_delay"]
+        late[chart] = sum(named) or sum(o["value"] for o in found.model.fit["time_offset_s"].values())
+    assert late["flexible_drive_commanded"] - late["flexible_drive"] == pytest.approx(0.477e-3, abs=6e-5)

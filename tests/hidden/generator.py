@@ -9,6 +9,7 @@ own matrices.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -151,19 +152,7 @@ def make(
     true_sizes = [len(m) for m in plant.chains.masses]
     recording, lost_db, gone = record(rng, setup, tuple(active), [n + declared for n in true_sizes])
     db = max(db, lost_db)
-    axes = plant.chains.axes
-    effects = tuple(
-        TrueEffect(
-            a.cause.name,
-            axes[a.axis],
-            a.cause.element_name(plant, a.axis, a.element),
-            axes[a.other] if a.other >= 0 else None,
-            {"fraction": gone[a.axis]} if a.cause.name == "dropped_samples" else a.parameters,
-            a.cause.name not in OUTSIDE | TWO,
-            a.cause.name == "torque_gain" and plant.count == 2,
-        )
-        for a in active
-    )
+    effects = tuple(_true_effect(plant, a, gone) for a in active)
     if declared:
         kind = "wrong_order"
     elif not effects:
@@ -173,6 +162,41 @@ def make(
     else:
         kind = "catalogue" if effects[0].in_catalogue else "outside"
     return recording, Truth(seed, kind, effects, plant.chains, db, setup.settings)
+
+
+def _true_effect(plant: Plant, a: Active, gone: dict[int, float]) -> TrueEffect:
+    axes = plant.chains.axes
+    return TrueEffect(
+        a.cause.name,
+        axes[a.axis],
+        a.cause.element_name(plant, a.axis, a.element),
+        axes[a.other] if a.other >= 0 else None,
+        {"fraction": gone[a.axis]} if a.cause.name == "dropped_samples" else a.parameters,
+        a.cause.name not in OUTSIDE | TWO,
+        a.cause.name == "torque_gain" and plant.count == 2,
+    )
+
+
+def make_cell(
+    causes: Sequence[tuple[str, int, int, float]],
+    *,
+    seed: int,
+    masses: tuple[int, ...] | None = None,
+    **setup_options: Any,
+) -> tuple[Recording, Truth]:
+    """A whole cell of the paper's three axes, or of others: ``causes`` with axis (from 0), element (from 1)
+    and how far each alone stands over the noise [dB]."""
+    rng = np.random.default_rng(seed)
+    plant = (
+        paper_plant(rng) if masses is None else random_plant(rng, ("J1", "J2", "J3")[: len(masses)], masses)
+    )
+    setup = draw_setup(rng, plant, **setup_options)
+    active = tuple(
+        calibrated(rng, setup, _cause(name), axis, element, -1, db) for name, axis, element, db in causes
+    )
+    recording, _, gone = record(rng, setup, active, [len(m) for m in plant.chains.masses])
+    effects = tuple(_true_effect(plant, a, gone) for a in active)
+    return recording, Truth(seed, "cell", effects, plant.chains, np.inf, setup.settings)
 
 
 def make_case(
@@ -204,4 +228,4 @@ def make_case(
     return make(first, **options)
 
 
-__all__ = ["CATALOGUE", "OUTSIDE", "TrueEffect", "Truth", "make", "make_case"]
+__all__ = ["CATALOGUE", "OUTSIDE", "TrueEffect", "Truth", "make", "make_case", "make_cell"]

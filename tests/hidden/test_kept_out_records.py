@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
+from hidden.generator import make
 from invid.diagnosis.diagnose import diagnose
 from invid.model.diagnosis_document import Verdict
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from hidden.generator import make
 
 
 def test_what_only_records_kept_out_show_is_unexplained_and_not_consistent() -> None:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 
 import invid
+from hidden.generator import TrueEffect, make
 from invid.cli.app import run
 from invid.model.diagnosis_document import Verdict
 from invid.model.law_table import LawTable
 from invid.report.data import figure_data
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from hidden.generator import TrueEffect, make
 
 
 def law_found(recording: invid.Recording, hidden: TrueEffect) -> tuple[invid.Diagnosis, LawTable]:

@@ -167,3 +167,14 @@ class Page:
     def mistakes(self) -> list[str]:
         """Errors in the browser's log (a 404 on purpose is none)."""
         return [e["message"] for e in self.driver.get_log("browser") if e["level"] == "SEVERE"]
+
+
+@contextmanager
+def looking(folder: Path, service: Any, *size: int, language: str = "en", at: str = "/") -> Iterator[Page]:
+    """The page of a service that is served, ``size`` wide and high where that is given."""
+    with browser(folder / "profile", language=language) as driver:
+        page = Page(driver)
+        if size:
+            page.resize(*size)
+        driver.get(service.url + at)
+        yield page

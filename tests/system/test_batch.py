@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_contract_surface import write_recording
 
 import invid
 from invid.batch.analysis import COLUMNS, Options, Results, analyse_apart
@@ -23,9 +24,6 @@ from invid.cli import app
 from invid.model.diagnosis_document import diagnosis_to_json
 from invid.model.document import dump_json, model_to_json
 from invid.processes import Helper
-
-sys.path.insert(0, str(Path(__file__).parent))
-from test_contract_surface import write_recording
 
 # One worker makes the recordings and the results to compare with once.
 pytestmark = pytest.mark.xdist_group("batch")

@@ -5,34 +5,17 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from page_browser import Page, browser, needs_browser
+from page_browser import Page, looking, needs_browser
 from service_process import SMALL_CELL, Serving, serving
 
 from invid_service.keys import add_key, revoke_key
 
 pytestmark = [pytest.mark.browser, pytest.mark.service, needs_browser]
 LONG = SMALL_CELL.replace("periods: 3}", "periods: 120}")
-
-
-@contextmanager
-def looking(folder: Path, service: Serving, width: int = 800, height: int = 1280) -> Iterator[Page]:
-    with browser(folder / "profile") as driver:
-        page = Page(driver)
-        page.resize(width, height)
-        driver.get(service.url + "/")
-        yield page
-
-
-def picture(page: Page, folder: Path, name: str) -> None:
-    """Kept where INVID_PICTURES says, to be looked at."""
-    kept = Path(os.environ.get("INVID_PICTURES", folder))
-    page.driver.save_screenshot(str(kept / f"{name}.png"))
 
 
 def start(service: Serving, cell: str, **body: Any) -> str:
@@ -50,7 +33,7 @@ def view(page: Page, name: str) -> None:
 def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(LONG.replace("small cell", "robot 02").replace("channel: small", "channel: two"))
-    with serving(tmp_path, str(other), cell=LONG) as service, looking(tmp_path, service) as page:
+    with serving(tmp_path, str(other), cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
         page.wait_text("stop", "small cell")
         location = start(service, "other")
         page.wait_text("moving", "robot 02")
@@ -66,14 +49,12 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
         assert "all cells" in page.text("stop")
         assert page.small_targets() == []
         assert page.barriers() == []
-        picture(page, tmp_path, "overview-moving")
         page.shown("stop").click()
         service.wait(location, "stopped", timeout=10)
         page.wait_text("stop-note", "robot 02: stopped")
         page.wait_text("counts", "1 to look at")
         row = page.driver.find_element("css selector", "[data-cell=other]")
         assert "Stopped" in row.text, "not green after a stop"
-        picture(page, tmp_path, "overview-stopped")
         # One button a row.
         location = start(service, "other")
         page.wait_text("counts", "1 moving")
@@ -85,7 +66,10 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
 def test_a_stop_works_with_a_revoked_key_and_nothing_covers_it(tmp_path: Path) -> None:
     keys = tmp_path / "keys.json"
     mine, plc = add_key(keys, "tablet", ["read", "run", "accept"]), add_key(keys, "plc", ["read", "run"])
-    with serving(tmp_path, "--key-file", str(keys), cell=LONG) as service, looking(tmp_path, service) as page:
+    with (
+        serving(tmp_path, "--key-file", str(keys), cell=LONG) as service,
+        looking(tmp_path, service, 800, 1280) as page,
+    ):
         service.client.headers["Authorization"] = f"Bearer {plc}"
         page.wait_text("notices", "asks for a key")
         page.driver.find_element("css selector", "form.ask input").send_keys(mine)
@@ -101,14 +85,13 @@ def test_a_stop_works_with_a_revoked_key_and_nothing_covers_it(tmp_path: Path) -
             assert not page.stop_covered(), width
         page.resize(800, 1280)
         assert page.barriers() == []
-        picture(page, tmp_path, "key-revoked")
         page.shown("stop").click()
         service.wait(location, "stopped", timeout=10)
         page.wait_text("stop-note", "small cell: stopped")
 
 
 def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
+    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
         location = start(service, "small")
         page.wait_text("run-title", "Measuring")
         offline = {"offline": True, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
@@ -119,19 +102,17 @@ def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(tmp_path
         assert "USE THE EMERGENCY STOP" in page.text("stop-note")
         page.wait_text("offline", "nothing is known of any cell")
         assert service.client.get(location).json()["state"] == "running"
-        picture(page, tmp_path, "stop-offline")
         page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", {**offline, "offline": False})
         service.wait(location, "stopped", timeout=10)
         page.wait_text("stop-note", "small cell: stopped")
         assert "NOT CONFIRMED" not in page.text("stop-note")
         page.wait_text("run-title", "Stopped")
         assert not page.driver.find_element("id", "offline").is_displayed()
-        picture(page, tmp_path, "stop-confirmed")
 
 
 @pytest.mark.campaign
 def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_stops(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
+    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
         start(service, "small")
         page.wait_text("phase", "left")
         os.kill(service.process.pid, signal.SIGSTOP)
@@ -147,7 +128,6 @@ def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_s
             page.wait_text("stop-note", "STOP NOT CONFIRMED")
             assert page.text("phase") == frozen
             assert page.barriers() == []
-            picture(page, tmp_path, "silent")
         finally:
             os.kill(service.process.pid, signal.SIGCONT)
         page.wait_text("stop-note", "small cell: stopped")
@@ -156,7 +136,7 @@ def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_s
 
 @pytest.mark.campaign
 def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
+    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
         location = start(service, "small")
         page.wait_text("run-title", "Measuring")
         # The first experiment has begun, so that there is something to analyse.
@@ -170,10 +150,8 @@ def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) ->
             page.wait_text("run-title", "Interrupted by a restart", 3.0)
             assert not page.driver.find_element("id", "progress").is_displayed()
             assert second.url == service.url
-            picture(page, tmp_path, "restarted")
             page.press(page.shown("analyse"))
             assert "A1" in page.shown("sentence").text
-            picture(page, tmp_path, "worked-out")
             page.press(page.shown("again"))
             page.wait_text("ready-title", "Ready")
         assert up - began < 60

@@ -58,7 +58,6 @@ def test_a_person_has_values_worked_out_and_the_loops_measured(
         for size in (1280, 390):
             driver.set_window_size(size, 900)
             assert page.overflow() <= 0, size
-            driver.save_screenshot(str(tmp_path / f"verified-{language}-{size}.png"))
         driver.set_window_size(1280, 900)
         severe = [e for e in driver.get_log("browser") if e["level"] == "SEVERE"]
         assert [e for e in severe if "409" not in e["message"]] == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,15 @@ from invid.cli.app import run
 from invid.recording import Recording, read_recording
 
 
+def text(path: Path, lines: Iterable[str]) -> Path:
+    """A file of these lines."""
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
 def table(path: Path, names: list[str], *columns: np.ndarray, sep: str = ",") -> Path:
     rows = [sep.join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)]
-    path.write_text("\n".join([sep.join(names)] * bool(names) + rows) + "\n", encoding="utf-8")
-    return path
+    return text(path, [sep.join(names)] * bool(names) + rows)
 
 
 def json_bag(path: Path, messages: list[tuple[str, int, dict]]) -> Path:

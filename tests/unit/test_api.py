@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import Truth, make
 
 import invid

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
@@ -31,6 +32,18 @@ def law_rows(now: Supposed, placed: PlacedLaw) -> list[Float64]:
             rows = wave[:, :, None] * along(work.condensed.motion, vector)
         out.append(whitened_rows(work, rows).reshape(-1, wave.shape[2]))
     return out
+
+
+def scale_rows(now: Supposed, spot: Spot) -> list[Float64]:
+    """(rows, 1) whitened rows in each stack of a motor's reading that is taken for another scale."""
+    number = spot.number
+    return [
+        whitened_rows(
+            work,
+            (work.stack.position[:, :, number, None] * work.condensed.stiffness[:, :, number])[..., None],
+        ).reshape(-1, 1)
+        for work in now.fit.value.work
+    ]
 
 
 @dataclass(frozen=True, eq=False)

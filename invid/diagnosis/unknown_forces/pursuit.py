@@ -43,9 +43,9 @@ UNBENT = 0.2
 """Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
 MOTORS_AGREED = 2
 """Rounds in which motor motion is made to agree with friction: the third moves nothing (empirical)."""
-ALONE = 6
-"""Most rounds in which motion is made to agree with laws of springs where nothing unknown acts beside
-them."""
+ALONE, STANDS = 8, 0.03
+"""Most rounds in which motion is made to agree with laws of springs where nothing unknown acts beside them,
+and the share of all that they gained below which one gains nothing (empirical: they come to rest in six)."""
 NEAR_END = 20.0
 """Rise of −2 ln L up to which motion that is smoothed anew is that of the same end: numbers moved with it."""
 MOST = 0.5
@@ -142,16 +142,17 @@ def _agreed_alone(now: Supposed) -> Supposed:
     """
     found = lowest = now.with_forces_at_laws()
     for number in range(ALONE):
-        found = reshape(found.renewed(agreed=True), 2)
-        if number and found.total > lowest.total:
+        found = reshape(found.renewed(agreed=True), 1).with_kept_agreed()
+        gained = lowest.total - found.total
+        lowest = found if gained > 0 else lowest
+        if number and gained < STANDS * (now.total - lowest.total):
             break
-        lowest = found
     return lowest.with_forces_anywhere()
 
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Motion, shapes and numbers in turn until the value stands."""
-    if True in now.ways and not now.motions.is_agreed:
+    if now.has_contact and not now.motions.is_agreed:
         now = min(now, _agreed_alone(now), key=lambda f: f.total)
     for number in range(rounds):
         moved = now.with_agreed_motors() if number < MOTORS_AGREED else now

@@ -25,7 +25,7 @@ from invid.identification.quantities import axis_and_element
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.price import NUMBER
+from invid.likelihood.unknown_forces.price import NUMBER, price
 from invid.likelihood.unknown_forces.shapes import with_law
 from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, Supposed
 from invid.likelihood.unknown_forces.worth import FRICTION, Worth, role_falls
@@ -52,13 +52,17 @@ class Contest:
 
 @dataclass(frozen=True, eq=False)
 class _Rival:
-    """A cause in the place of another: rise of −2 ln L on all records, with Schwarz's price of its further
-    numbers, and the missing torque of all axes [N·m]."""
+    """A cause in the place of another: the fit with it, and by how much −2 ln L is higher."""
 
     cause: str
     spot: Spot
+    found: Supposed
     worse: float
-    missing: float
+
+    @property
+    def missing(self) -> float:
+        """Missing torque of all axes [N·m]."""
+        return float(np.sqrt((axis_missing(self.found).missing ** 2).mean()))
 
 
 def contests(
@@ -103,14 +107,14 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         return _of_structure(worth, pursued)
     less = end.refit(without)
     own = next((p for p in end.hypothesis.laws if p.key == worth.key), None)
-    price = Rows(end).price
+    each = Rows(end).price
     rivals: list[tuple[str, Spot, float, Supposed]] = []
     for placed in _within_reach(less, own or worth.key, _candidates(end, worth, pursued, linear=linear)):
         if budget.is_left_out(WHAT):
             break
         replaced = 1 if own is None else _numbers(own)
         replaced = max(replaced, len(_taken_over(end.hypothesis, placed)))
-        more = price * (_numbers(placed) - replaced)
+        more = each * (_numbers(placed) - replaced)
         # One of many laws that have no name: it has to do as well as the cause that has one.
         more += COMPETES if isinstance(placed.law, SmoothLaw) else 0.0
         found = with_law(less, placed)
@@ -126,8 +130,12 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
 
 
 def _rival(named: tuple[str, Spot], found: Supposed, than: Supposed, more: float = 0.0) -> _Rival:
-    missing = float(np.sqrt((axis_missing(found).missing ** 2).mean()))
-    return _Rival(*named, sum(role_falls(found, than)) + more, missing)
+    """Worse by the rise on all records, with Schwarz's price of its further numbers; by what it is on the
+    records fitted where that is decided there."""
+    worse = found.total - than.total + more
+    if worse < price():
+        worse = sum(role_falls(found, than)) + more
+    return _Rival(*named, found, worse)
 
 
 def _numbers(placed: PlacedLaw) -> int:

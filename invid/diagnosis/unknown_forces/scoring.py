@@ -7,7 +7,7 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.projected_rows import law_rows
+from invid.diagnosis.unknown_forces.projected_rows import law_rows, scale_rows
 from invid.effects.supposed.law import SupposedLaw
 from invid.likelihood.unknown_forces.background import Background, bounded_fall
 from invid.likelihood.unknown_forces.forces import Spot, Where
@@ -18,6 +18,9 @@ from invid.model.place import Place
 from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
+
+ANY = (-np.inf, np.inf)
+"""Limits of a coefficient that has none."""
 
 
 def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
@@ -63,8 +66,15 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
         if budget.is_left_out(budget.FURTHER_CAUSES):
             out.append(0.0)
             continue
-        own, pull = background.beside(law_rows(now, placed))
-        out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
+        limits = placed.law.limits(now.motions.flat(placed.spot))
+        rows = law_rows(now, placed)
+        fall = bounded_fall(*background.beside(rows), limits)
+        if placed.law.reads:  # another scale of the reading is no part of what a law of it says
+            scale = scale_rows(now, placed.spot)
+            both = [np.concatenate(pair, axis=1) for pair in zip(rows, scale, strict=True)]
+            beside = bounded_fall(*background.beside(both), [*limits, ANY])
+            fall = min(fall, beside - bounded_fall(*background.beside(scale), [ANY]))
+        out.append(fall)
     return np.array(out)
 
 

@@ -13,6 +13,7 @@ from invid.diagnosis.unknown_forces.resonances import BAND, DAMPING, Resonance, 
 from invid.identification.contest import is_settled
 from invid.identification.fewer_masses import expected
 from invid.identification.first_plants import fraction_chains
+from invid.identification.quantities import Quantities
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import TO_THE_END
 from invid.likelihood.unknown_forces.forces import Spot, Where
@@ -35,7 +36,8 @@ STRONG = 0.1
 HEAVIEST_MODE = 2.0
 """Most mass of a mode over its chain's."""
 SURE = 0.5
-"""Most deviation of the logarithms of a mass and its spring that are known at all."""
+"""Most deviation of the logarithms of a mass and its spring, and over a base's stiffness, that are known at
+all."""
 HEAVIEST = 1000.0
 """Most mass of a base over that of its heaviest load."""
 NEARLY, HOSTS = 0.3, 3
@@ -220,7 +222,15 @@ class Base(Addition):
         own, _ = base_of(structure, plant.values)
         frequency = np.sqrt(own["stiffness"] / (own["mass"] + own["carried"])) / top(now)
         heaviest = max(plant.of_kind(Kind.MASS)[i] for i in structure.load)
-        return bool(0.0 < own["mass"] < HEAVIEST * heaviest and BAND[0] < frequency < BAND[1])
+        stiffness = Quantities.of(now).estimate(
+            lambda x: base_of(structure, plant.moved(x).values)[0]["stiffness"], [*range(plant.x.size)], None
+        )
+        return bool(
+            0.0 < own["mass"] < HEAVIEST * heaviest
+            and BAND[0] < frequency < BAND[1]
+            and stiffness.std is not None
+            and stiffness.std < SURE * stiffness.value
+        )
 
 
 def additions_of(structure: Structure) -> tuple[Addition, ...]:

@@ -43,6 +43,7 @@ class CubicStiffnessLaw(SupposedLaw):
     """A spring that hardens (or softens) with the third power of its deflection."""
 
     effect, main = CubicStiffness(), "coefficient"
+    is_smooth = True
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         cube: Float64 = (motion.position**3)[:, None]

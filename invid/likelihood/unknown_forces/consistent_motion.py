@@ -3,8 +3,8 @@
 The smoother takes a law φ of a place's motion d at the motion of the fit before. Its error there, δd, makes
 an error φ'·δd of the force, which moves the place anew: where a chain resonates with its motors held, that
 grows from one smoothing to the next. Here both agree. With resistance F = φ(d) + e, e of power Q, and the
-missing torque r = r₀ + H·F + E·a of covariance S (a the records' ends), d = d₀ − X·F + B·a, a step of F and a
-minimises
+missing torque r = r₀ + H·F + E·a of covariance S (a the records' ends), d = d₀ − X·F + B·a with all else that
+is unknown at its best for F and a, a step of F and a minimises
 
     |r + H·δF + E·δa|² by S  +  |F + δF − φ(d) + φ'·(X·δF − B·δa)|² by Q  +  |a + δa|²/2,
 
@@ -143,9 +143,10 @@ class _Change:
 class _Place:
     """What a stack says of F at a place.
 
-    ``missing`` (R, A, M), ``reach`` (A, M), ``jumps`` (A, M, 2n): r, H and E, whitened. ``receptance`` (A,):
-    X. ``by_ends``: motion by each end alone; ``ends``, ``ends_rate`` (2n, k + 1): B, position and velocity by
-    it. ``force`` (R, A): F. ``unknown`` (L,): lines on which F does not follow the law; it does ``beyond``.
+    ``missing`` (R, A, M), ``reach`` (A, M), ``jumps`` (A, M, 2n): r, H and E, whitened. ``answer`` (A, n):
+    motion of all coordinates by F, ``receptance`` (A,) X. ``by_ends``: motion by each end alone; ``ends``,
+    ``ends_rate`` (2n, k + 1): B, position and velocity by it. ``force`` (R, A): F. ``unknown`` (L,): lines on
+    which F does not follow the law; it does ``beyond``.
     """
 
     stack: SmoothedStack
@@ -156,6 +157,7 @@ class _Place:
     reach: Complex128
     jumps: Complex128
     power: Float64
+    answer: Complex128
     receptance: Complex128
     by_ends: SmoothedStack
     ends: Float64
@@ -170,12 +172,15 @@ class _Place:
         reach, power = noise.reach[:, :, place], noise.power[:, place]
         others = noise.power.copy()
         others[:, place] = 0.0
-        whitener = stack.noise_of(others, stack.stack.position_noise).whitener
+        whitener = stack.noise_of(others, stack.position_noise).whitener
         unknown = -stack.force[:, :, place]
         missing = stack.missing + unknown[..., None] * reach
         was = [law.lines(r, m) for r, m in zip(stack.stack.records, law.before, strict=True)]
-        by_ends = stack.motion_by_ends()
-        receptance = stack.condensed.receptance @ vector @ vector
+        answer = stack.others_answer(others, reach[..., None])[..., 0] - stack.condensed.receptance @ vector
+        receptance = -(answer @ vector)
+        jumps = stack.condensed.jumps(omega) @ stack.root
+        by_ends, beside = stack.motion_by_ends(), stack.others_answer(others, jumps)
+        by_ends = replace(by_ends, lines=by_ends.lines + np.moveaxis(beside, 2, 0))
         moving = np.flatnonzero(np.abs(receptance) * (law.smoothed[0].own or 0.0) > FOLLOWING)
         beyond = min(MOST_LINES, int(moving.max(initial=0)) + 1)
         return cls(
@@ -185,8 +190,9 @@ class _Place:
             law,
             (whitener @ missing[..., None])[..., 0],
             (whitener @ reach[..., None])[..., 0],
-            whitener @ stack.condensed.jumps(omega) @ stack.root,
+            whitener @ jumps,
             np.maximum(power, LEAST_POWER * float(stack.stack.torque_noise.mean())),
+            answer,
             receptance,
             by_ends,
             *by_ends.over_time(vector),
@@ -225,8 +231,7 @@ class _Place:
         pushed, ends = (np.array([getattr(f.change, name) for f in found]) for name in ("force", "ends"))
         force = stack.force.copy()
         force[:, :, self.place] = [-f.apart for f in found]
-        answer = stack.condensed.receptance @ self.vector
-        lines = stack.lines - pushed[..., None] * answer + np.tensordot(ends, swing.lines, 1)
+        lines = stack.lines + pushed[..., None] * self.answer + np.tensordot(ends, swing.lines, 1)
         jump, bend = stack.jump + ends @ swing.jump, stack.bend + ends @ swing.bend
         return replace(stack, lines=lines, jump=jump, bend=bend, ends=stack.ends + ends, force=force)
 

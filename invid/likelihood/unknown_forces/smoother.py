@@ -38,7 +38,8 @@ class SmoothedStack:
     velocity from a record's start to its end; ``ends`` (R, 2n) numbers of deviation one that make them, of
     which ``root`` (2n, 2n) makes M·Δq̇ + C·Δq and M·Δq over 2/T; ``force`` (R, A, P) unknown forces; ``plant``
     that of the fit. ``missing`` (R, A, M) is the motors' missing torque on all lines, ``sensors`` (A, M) the
-    power that the sensors alone make of it. ``condensed`` and ``noise``: plant and covariance there.
+    power that the sensors alone make of it. ``condensed`` and ``noise``: plant and covariance there;
+    ``vectors`` (n, P) the places of forces, ``position_noise`` (M,) of the readings.
     """
 
     stack: Stack
@@ -53,6 +54,8 @@ class SmoothedStack:
     sensors: Float64
     condensed: Condensed
     noise: MissingNoise
+    vectors: Float64
+    position_noise: Float64
 
     @cached_property
     def grid(self) -> int:
@@ -89,6 +92,17 @@ class SmoothedStack:
         """S with other powers (A, P) of the unknown forces, and noise (M,) of the readings."""
         sensors = (position_noise, self.stack.torque_noise)
         return missing_noise(self.condensed.stiffness, self.noise.reach, power, sensors)
+
+    def others_answer(self, power: Float64, missing: Complex128) -> Complex128:
+        """(A, n, k) motion of all coordinates by readings and unknown forces of ``power`` (A, P), as they are
+        estimated from missing torques (A, M, k)."""
+        noise = self.noise_of(power, self.position_noise)
+        solved = noise.whitener.conj().transpose(0, 2, 1) @ (noise.whitener @ missing)
+        force = power[..., None] * (noise.reach.conj().transpose(0, 2, 1) @ solved)
+        reading = self.position_noise[:, None] * (self.condensed.stiffness.conj().transpose(0, 2, 1) @ solved)
+        pushed = self.condensed.receptance @ (self.vectors @ force)
+        out: Complex128 = pushed - self.condensed.motion.transpose(0, 2, 1) @ reading
+        return out
 
     def motion_by_ends(self) -> SmoothedStack:
         """Motion by each of the ``ends`` alone, as one record for each."""
@@ -181,6 +195,8 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
         sensors,
         condensed,
         noise,
+        problem.spots.vectors,
+        position_noise,
     )
 
 

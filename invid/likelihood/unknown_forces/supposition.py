@@ -16,6 +16,7 @@ from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, co
 from invid.likelihood.unknown_forces.motions import Motions, PlacedLaw, axis_of, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
 from invid.likelihood.unknown_forces.motor_motion import Friction, agreed_records
+from invid.likelihood.unknown_forces.price import PARTS, price_at_motors
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.timing import CONVENTION
@@ -189,6 +190,11 @@ class Supposed:
         return (False, True) if is_bent else (False,)
 
     @property
+    def has_contact(self) -> bool:
+        """Whether something comes into contact across a spring."""
+        return any(p.spot.where is Where.SPRING and not p.law.is_smooth for p in self.hypothesis.laws)
+
+    @property
     def kept_value(self) -> Value | None:
         """−2 ln L of the records kept out, at the numbers, strengths and coefficients that were fitted, and
         on inner motion that is smoothed at them until it stands."""
@@ -204,7 +210,7 @@ class Supposed:
             known = self._on_kept(
                 self.kept, known.smoothed(self.hypothesis.laws, agreed=self.motions.is_agreed)
             )
-            if abs(float(known.value.share.sum() - before.share.sum())) < 1.0:
+            if abs(float(known.value.share.sum() - before.share.sum())) < STANDS:
                 break
         return known
 
@@ -284,6 +290,13 @@ class Supposed:
             kept = self._kept_at_rest.smoothed((), agreed=False)
         return replace(self, motions=motions, kept_motions=kept)
 
+    def with_kept_agreed(self) -> Supposed:
+        """The same on motion of the records kept out that agrees with the laws once more, at this fit."""
+        if self.kept is None or self._kept_known is None:
+            return self
+        known = self._on_kept(self.kept, self._kept_known)
+        return replace(self, kept_motions=known.smoothed(self.hypothesis.laws, agreed=True))
+
     def with_agreed_motors(self) -> Supposed:
         """The same on motor motion that agrees with friction as it is found."""
         sizes = self.sizes
@@ -353,8 +366,9 @@ def _agreed(smoothed: Sequence[SmoothedStack], friction: Friction) -> list[Stack
     return [replace(s.stack, records=agreed_records(s, friction)) for s in smoothed]
 
 
-KEPT_ROUNDS = 6
-"""Most times that the motion of records kept out is smoothed."""
+KEPT_ROUNDS, STANDS = 6, 0.1 * price_at_motors(PARTS)
+"""Most times that the motion of records kept out is smoothed, and the change of −2 ln L by which it stands: a
+tenth of the least price."""
 HELD = 1e-9
 """Standard deviation of a number that is held at zero."""
 

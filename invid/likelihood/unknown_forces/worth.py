@@ -11,7 +11,7 @@ import numpy as np
 from invid.likelihood.unknown_forces.descent import Ended
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.price import PARTS, pays, price, price_at_motors
+from invid.likelihood.unknown_forces.price import FITTED, PARTS, pays, price, price_at_motors
 from invid.likelihood.unknown_forces.shapes import reshape
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.model.plant import Kind
@@ -69,6 +69,12 @@ class Worth:
         """Whether it pays its price; what is not weighed is not known not to."""
         return self._pays(0.0) or not self.is_weighed
 
+    @property
+    def may_pay(self) -> bool:
+        """Whether what it brings on the records fitted is enough to ask for the records kept out."""
+        least = self.price if self.is_friction else FITTED * self.price
+        return self.rise + sum(self.gaps or ()) > least
+
     def _pays(self, more: float) -> bool:
         fitted, kept = self.roles
         if self.is_friction:
@@ -97,10 +103,9 @@ def _weigh(now: Supposed, one: Deletion) -> tuple[Worth, Supposed | None]:
     if budget.is_left_out(WEIGHING):
         return Worth(one.cause, one.key, numbers=one.numbers, gaps=None), None
     less = one.without(now)
-    gaps = now.fit.open_gap, less.fit.open_gap
-    roles = role_falls(less, now)
-    left = tuple(less.strength)
-    worth = Worth(one.cause, one.key, less.total - now.total, roles, left, one.numbers, gaps)
+    gaps, rise = (now.fit.open_gap, less.fit.open_gap), less.total - now.total
+    worth = Worth(one.cause, one.key, rise, (rise, 0.0), tuple(less.strength), one.numbers, gaps)
+    worth = replace(worth, roles=role_falls(less, now)) if worth.may_pay else worth
     return (replace(worth, gaps=None) if less.fit.ended is Ended.CUT else worth), less
 
 
@@ -109,28 +114,28 @@ def prune(
 ) -> tuple[tuple[Worth, ...], Supposed]:
     """What each cause is worth in the fit with those that pay, and that fit.
 
-    One at a time the one that is least above its price goes, and those that did not pay beside it are weighed
-    again: two that are each dispensable beside the other do not both go. Those ``kept`` stay in the fit.
+    One at a time the one that is least above its price goes, once it is known to be poor beside those left:
+    two that are each dispensable beside the other do not both go. Those ``kept`` stay in the fit.
     """
     known: dict[Hashable, tuple[Worth, Supposed | None]] = {}
+    weighed_at: dict[Hashable, Supposed] = {}
     while True:
-        deletions = deletions_of(now)
-        for deletion in deletions:
-            if deletion.key not in known:
-                known[deletion.key] = _weigh(now, deletion)
-        known = {d.key: known[d.key] for d in deletions}
-        worths = [w for w, _ in known.values()]
+        deletions = {d.key: d for d in deletions_of(now)}
+        for key, deletion in deletions.items():
+            if key not in known:
+                known[key], weighed_at[key] = _weigh(now, deletion), now
+        worths = [known[key][0] for key in deletions]
         stays = {w.key for w in worths if w.stays}
         # A rise at slow speed is one above dry friction.
         needed = {(Part.DRY, m) for m in range(now.hypothesis.structure.motors) if (Part.RISE, m) in stays}
         poor = [w for w in worths if w.key not in stays | needed | {*kept}]
         if not poor:
             return tuple(worths), now
-        least = min(poor, key=lambda w: w.rise - w.price)
-        now = known[least.key][1] or now
-        for worth in worths:
-            if not worth.stays:
-                del known[worth.key]
+        least = min(poor, key=lambda w: w.rise - w.price).key
+        if weighed_at[least] is not now:
+            known[least], weighed_at[least] = _weigh(now, deletions[least]), now
+        else:
+            now = known[least][1] or now
 
 
 def friction_deletions(now: Supposed) -> list[Deletion]:

@@ -23,7 +23,7 @@ STAGES = {
     "diagnosing": (0.35, 0.93),
     "writing the report": (0.93, 1.0),
 }
-"""Shares of the analysis. Empirical: the case study and cells of one to six axes (``bench_service.py``)."""
+"""Shares of the analysis. Empirical: the case study and cells of one to six axes."""
 PACE_S = 40.0
 """What a first analysis is thought to take, until its own stages say more: the case study on two cores."""
 _LEAST_S = {"diagnosing": PACE_S, "writing the report": 0.0}

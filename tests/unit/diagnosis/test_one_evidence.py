@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
-from pathlib import Path
 
 import pytest
+from hidden.generator import make
 
 import invid
 from invid.diagnosis.unknown_forces.machine_search import search_elastic
@@ -14,9 +13,6 @@ from invid.identification.begun import begin_elastic
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.numerics.budget import Budget, Progress, stop, use_budget
 from invid.recording.model import Recording
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-from hidden.generator import make
 
 STIFFNESS = 200.0
 

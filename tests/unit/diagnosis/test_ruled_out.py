@@ -1,17 +1,14 @@
 """What a diagnosis says that the recording would have shown, against causes of that size in the plant."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hidden.generator import make
 
 import invid
 from invid.model.diagnosis_document import RuledOut, diagnosis_to_json, load_diagnosis
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-from hidden.generator import make
 
 
 def limit(diagnosis: invid.Diagnosis, cause: str, element: str | None) -> RuledOut:

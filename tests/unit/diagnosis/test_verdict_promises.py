@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -11,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import two_masses
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
 from large_motion import recording as recording_of
 from large_motion import simulate as large_motion

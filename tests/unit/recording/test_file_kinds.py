@@ -12,6 +12,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from foreign_records import text
 
 from invid.cli.app import run
 from invid.errors import InputError
@@ -121,8 +122,7 @@ def test_lines_that_a_serial_monitor_stamped_are_read_without_its_stamps(tmp_pat
     for k in range(N):
         at = stamp.format(f"12:36:19.{16 * (k // 16):03d}")
         lines.append(at + cell.join([str(1000 * k), f"{ANGLE[k]:.6f}", f"{TORQUE[k]:.6f}"]))
-    path = tmp_path / "serial.txt"
-    path.write_text("\n".join(lines))
+    path = text(tmp_path / "serial.txt", lines)
     document = suggest_map([path], None)[1].document
     assert document["time"] == {"column": "t_us", "unit": "us"}
     np.testing.assert_allclose(read_table(path, Source()).columns["position"], ANGLE)
@@ -152,8 +152,7 @@ def test_a_document_in_the_folder_stops_no_import(tmp_path, capsys, beside):
 def test_a_row_that_is_no_plain_numbers_is_told_with_its_line(tmp_path, odd, broken):
     rows = [f"{t:.3f};{q:.6f};{u:.6f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
     rows.insert(100, odd)
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join(["time;position;torque", *rows]) + "\n")
+    path = text(tmp_path / "a.csv", ["time;position;torque", *rows])
     table = read_table(path, Source())
     columns = table.columns
     inside = np.ones(table.lines.size, dtype=bool)
@@ -168,6 +167,5 @@ def test_blanks_and_quotation_marks_about_a_number_are_no_part_of_it(tmp_path, d
     lines = ["time;position;torque"]
     for row in zip(TIME, ANGLE, TORQUE, strict=True):
         lines.append(";".join(cell.format(f"{v:.6f}".replace(".", decimal)) for v in row))
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join(lines) + "\n")
+    path = text(tmp_path / "a.csv", lines)
     np.testing.assert_allclose(read_table(path, Source()).columns["torque"], TORQUE, atol=1e-6)

@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from foreign_records import written_map
+from foreign_records import text, written_map
 
 from invid.cli.app import run
 from invid.recording.hdf5 import read_recording
@@ -91,18 +91,14 @@ def candump(folder: Path, stamps, *, channel="can0", name="c.log", order="<", ap
     for k, t in enumerate(stamps):
         lines.append(f"({t:.6f}) {channel} 080#")
         lines.append(f"({t + apart:.6f}) {channel} 181#{payload(k, order).hex().upper()}")
-    path = folder / name
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    return text(folder / name, lines)
 
 
 def csv(folder: Path, stamps, name="t.csv") -> Path:
     lines = ["time,position_rad,torque_Nm"]
     rows = zip(stamps, POSITION * COUNT, TORQUE * 0.05, strict=True)
     lines += [f"{t},{p:.9f},{m:.4f}" for t, p, m in rows]
-    path = folder / name
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    return text(folder / name, lines)
 
 
 def whole(e, samples: int = N) -> None:
@@ -221,9 +217,7 @@ def gvret(folder: Path, *, way: bool) -> Path:
             cells = "".join(f"{b:02X}," for b in data)
             head = f"{170_000_000 + 1000 * k + shift},{number:08X},false,{'Rx,' if way else ''}"
             lines.append(f"{head}0,{len(data)},{cells}")
-    path = folder / f"g{way}.csv"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    return text(folder / f"g{way}.csv", lines)
 
 
 def busmaster(folder: Path, *, base: str) -> Path:
@@ -240,9 +234,7 @@ def busmaster(folder: Path, *, base: str) -> Path:
             lines.append(
                 f"{clock} Rx 1 {name} s {len(data)} " + " ".join(cells.format(b) for b in data) + " "
             )
-    path = folder / f"b{base}.log"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    return text(folder / f"b{base}.log", lines)
 
 
 def shown(folder: Path, *, kind: str) -> Path:
@@ -259,9 +251,7 @@ def shown(folder: Path, *, kind: str) -> Path:
             else:
                 stamp = f"{start + timedelta(microseconds=us):%Y-%m-%d %H:%M:%S.%f}"
                 lines.append(f" ({stamp})  can0  {number:03X}   [{len(data)}]  {cells}")
-    path = folder / "shown.txt"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    return text(folder / "shown.txt", lines)
 
 
 @pytest.mark.parametrize(
@@ -302,8 +292,7 @@ def test_a_sign_that_may_be_either_is_asked_for(tmp_path, capsys):
     rows = ["t_ms;x;m"]
     # Whole counts with points between thousands look like three decimals.
     rows += [f"{k};{grouped(POSITION[k], 0, '.', ',')};{TORQUE[k]}" for k in ROW]
-    path = tmp_path / "n.csv"
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    path = text(tmp_path / "n.csv", rows)
     axis = {**CAN_MAP["axes"][0]}
     axis["position"] = {"column": 1, "unit": "counts", "per_count": COUNT}
     axis["torque"] = {"column": 2, "unit": "permille", "meaning": "measured"}
@@ -379,8 +368,7 @@ def test_columns_of_two_rates_in_one_table_are_read_at_the_slower(tmp_path, caps
     for k in ROW:
         torque = f"{TORQUE[k] * 0.05:.4f}" if k % every == 0 else ""
         rows.append(f"{k * 1e-3:.3f},{POSITION[k] * COUNT:.9f},{torque}")
-    path = tmp_path / "two.csv"
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    path = text(tmp_path / "two.csv", rows)
     e, said = taken(tmp_path, path, CSV_MAP, capsys)
     assert f"every {every} rows only" in said
     np.testing.assert_allclose(e.position[:, 0], POSITION[::every] * COUNT, atol=1e-8)

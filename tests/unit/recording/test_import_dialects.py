@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from foreign_records import imported, suggested
+from foreign_records import imported, suggested, text
 
 from invid.cli.app import run
 from invid.recording import Experiment
@@ -52,9 +52,7 @@ def written(folder: Path, times: list[str], *, sep: str = ",", comma: bool = Fal
         cells = [t, f"{q:.9f}", f"{u:.9f}"]
         cells = [c.replace(".", ",") for c in cells] if comma else cells
         rows.append(sep.join(f"{quote}{c}{quote}" for c in cells))
-    path = folder / "log.csv"
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
-    return path
+    return text(folder / "log.csv", rows)
 
 
 @pytest.mark.parametrize(
@@ -132,8 +130,7 @@ def test_an_offset_is_what_the_log_shows_at_zero(tmp_path):
 )
 def test_quantities_are_known_in_other_tongues_and_units_where_names_end(tmp_path, capsys, names, scales):
     rows = np.column_stack([TIME, POSITION, TORQUE]) * scales
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([names, *(",".join(f"{v:.9f}" for v in r) for r in rows)]) + "\n")
+    path = text(tmp_path / "log.csv", [names, *(",".join(f"{v:.9f}" for v in r) for r in rows)])
     taken(path, capsys)
 
 
@@ -152,8 +149,7 @@ def test_columns_of_one_name_and_lists_in_cells_are_joints(tmp_path, capsys):
         twice.append(f"{t:.4f},{q:.9f},{u:.9f},{2 * q:.9f},{3 * u:.9f}")
         lists.append(f'{t:.4f},"[{q:.9f}, {2 * q:.9f}]","[{u:.9f}, {3 * u:.9f}]"')
     for name, lines in (("twice.csv", twice), ("lists.csv", lists)):
-        path = tmp_path / name
-        path.write_text("\n".join(lines) + "\n")
+        path = text(tmp_path / name, lines)
         found = taken(path, capsys)
         assert found.position[:, 1] == pytest.approx(2 * POSITION, abs=1e-6)
         assert found.torque[:, 1] == pytest.approx(3 * TORQUE, abs=1e-6)
@@ -185,8 +181,7 @@ def test_a_scope_export_with_a_clock_a_channel_takes_no_clock_for_a_position(tmp
     lines += [
         f"{1e3 * t:g}\t{u:.9f}\t{1e3 * t:g}\t{q:.9f}" for t, q, u in zip(TIME, POSITION, TORQUE, strict=True)
     ]
-    path = tmp_path / "scope.csv"
-    path.write_text("\n".join(lines) + "\n")
+    path = text(tmp_path / "scope.csv", lines)
     taken(path, capsys)
     assert "interpolated" not in capsys.readouterr().err
 
@@ -207,8 +202,7 @@ def test_the_evenest_of_two_clocks_is_taken_in_whatever_parts_it_is(tmp_path, ca
     lines = [f"{names},position,torque"]
     for row in zip(one, other, POSITION, TORQUE, strict=True):
         lines.append("{:.6f},{:.0f},{:.9f},{:.9f}".format(*row))
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(lines) + "\n")
+    path = text(tmp_path / "log.csv", lines)
     taken(path, capsys)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from foreign_records import imported, json_bag, refused, suggested, table
+from foreign_records import imported, json_bag, refused, suggested, table, text
 
 from invid.cli.app import run
 from invid.errors import InputError
@@ -342,8 +342,7 @@ def test_what_stands_in_brackets_is_columns(tmp_path, row):
         row.format(t=f"{t:.4f}", q=f"{q:.6f}", p=f"{2 * q:.6f}", u=f"{u:.6f}", v=f"{3 * u:.6f}")
         for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)
     ]
-    path = tmp_path / "data.log"
-    path.write_text("\n".join(lines) + "\n")
+    path = text(tmp_path / "data.log", lines)
     chart = {"time": {"column": 0}, "axes": [axis("list0[1]", "list1[0]")]}
     e = imported(tmp_path, path, chart).experiments[0]
     np.testing.assert_allclose(e.position[:, 0], 2 * ANGLE, atol=2e-6)

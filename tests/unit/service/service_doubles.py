@@ -174,13 +174,14 @@ class ScriptedWorker:
 class Director:
     """What scripted runs do."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, held_in: str = "", deaf: bool = False, die: bool = False) -> None:
+        """``held_in`` "running" or "analysing": it stays there until the event of that name is set."""
         self.go = asyncio.Event()
         self.analyse = asyncio.Event()
-        self.go.set()
-        self.analyse.set()
-        self.deaf = False
-        self.die = False
+        for state, event in (("running", self.go), ("analysing", self.analyse)):
+            if state != held_in:
+                event.set()
+        self.deaf, self.die = deaf, die
         """The runner ends without a word: at once, or, where it is held up by ``go``, when it is stopped."""
         self.axes: tuple[LastSeen, ...] = ()
         self.failure: dict[str, Any] | None = None
@@ -250,6 +251,15 @@ def start(client: TestClient, cell: str = "cell", **body: Any) -> str:
     return location
 
 
+def until(holds: Callable[[], Any], seconds: float = 10.0) -> Any:
+    """Wait until something holds; what it is then."""
+    deadline = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return found
+
+
 def wait_for(client: TestClient, location: str, *states: str, timeout: float = 30.0) -> dict[str, Any]:
     """Poll until the run is in one of ``states``; fails with what it saw."""
     deadline = time.monotonic() + timeout
@@ -259,3 +269,33 @@ def wait_for(client: TestClient, location: str, *states: str, timeout: float = 3
             return body
         time.sleep(0.01)
     raise AssertionError(f"{location} did not reach {states}: {body}")
+
+
+def started(client: TestClient, state: str = "awaiting_accept", **body: Any) -> str:
+    """Start a run and wait until it is in that state; its address."""
+    location = start(client, **body)
+    wait_for(client, location, state)
+    return location
+
+
+def act(client: TestClient, location: str, kind: str, **more: Any) -> Any:
+    """The answer to an action."""
+    return client.post(f"{location}/actions", json={"type": kind, **more})
+
+
+def accepted(client: TestClient, **body: Any) -> str:
+    """The address of a run whose result was accepted."""
+    location = started(client, **body)
+    assert act(client, location, "accept").status_code == 200
+    return location
+
+
+def kind(answer: Any) -> str:
+    """The problem that an answer is."""
+    assert answer.headers["content-type"] == "application/problem+json", answer.text
+    return str(answer.json()["type"]).removeprefix("urn:invid:problem:")
+
+
+def bearer(key: str) -> dict[str, str]:
+    """Headers of whoever has the key."""
+    return {"Authorization": f"Bearer {key}"}

@@ -97,9 +97,7 @@ def test_a_check_asks_the_drives_and_says_what_they_said(wire: Wire, tmp_path: P
 def test_a_runner_that_dies_in_motion_leaves_what_is_known_of_each_axis(wire: Wire, tmp_path: Path) -> None:
     wire.memory.keep("a drive", Seen(2, loaded=True, holds=True, resumes=True, left_held=True))
     wire.memory.keep("another", Seen(1, in_run=True))
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path, Director(held_in="running")) as (client, director):
         location = client.post(f"{CELLS}/cell/identifications", json={"mode": "full", "arm": True}).headers[
             "Location"
         ]

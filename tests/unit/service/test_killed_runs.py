@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from service_doubles import Director, running, settings_in, wait_for
+from service_doubles import Director, running, settings_in, until, wait_for
 from sqlalchemy.exc import OperationalError
 
 from invid.recording import Kind, Outcome, Recording, RecordingWriter, read_recording
@@ -129,9 +129,7 @@ def test_a_run_whose_end_a_full_disk_does_not_take_is_told_and_stored_when_there
     def full(*_: Any) -> None:
         raise OperationalError("INSERT", None, sqlite3.OperationalError("database or disk is full"))
 
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path, Director(held_in="running")) as (client, director):
         body = {"mode": "full", "arm": True}
         location = client.post("/api/v1/cells/cell/identifications", json=body).headers["Location"]
         wait_for(client, location, "running")
@@ -149,13 +147,9 @@ def test_a_run_whose_end_a_full_disk_does_not_take_is_told_and_stored_when_there
             time.sleep(1.5)  # the store still says "running"
             assert client.get(location).json()["state"] == "failed"
             assert client.get("/api/v1/cells/cell/state").json()["state"] == "failed"
-        deadline = time.monotonic() + 10.0
-        while client.get(f"{location}/recording").status_code != 200:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        while client.app.state.service.jobs.live(location.rsplit("/", 1)[1]) is not None:  # type: ignore[attr-defined]
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        jobs = client.app.state.service.jobs  # type: ignore[attr-defined]
+        until(lambda: client.get(f"{location}/recording").status_code == 200)
+        until(lambda: jobs.live(location.rsplit("/", 1)[1]) is None)
         assert client.get(location).json()["state"] == "failed"
 
 

@@ -9,8 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fastapi.testclient import TestClient
-from service_doubles import CELL, START, Director, model_document, running, settings_in, start, wait_for
+from service_doubles import (
+    CELL,
+    START,
+    Director,
+    accepted,
+    act,
+    model_document,
+    running,
+    settings_in,
+    start,
+    started,
+    until,
+    wait_for,
+)
 from sqlalchemy.exc import OperationalError
 
 from invid.config import load_config
@@ -24,10 +36,6 @@ from invid_service.settings import Settings
 from invid_service.store.database import open_engine
 
 STOP = "/api/v1/cells/cell/stop"
-
-
-def act(client: TestClient, location: str, kind: str) -> Any:
-    return client.post(f"{location}/actions", json={"type": kind})
 
 
 def problem(answer: Any, status: int, kind: str) -> dict[str, Any]:
@@ -63,8 +71,7 @@ def test_a_run_goes_through_every_state_of_the_contract_in_order(tmp_path: Path)
 
 def test_nothing_moves_before_it_is_armed(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
-        location = start(client, arm=False)
-        wait_for(client, location, "awaiting_arm")
+        location = started(client, "awaiting_arm", arm=False)
         time.sleep(0.2)
         assert client.get(location).json()["state"] == "awaiting_arm"
         assert director.workers[0].said == []
@@ -73,11 +80,8 @@ def test_nothing_moves_before_it_is_armed(tmp_path: Path) -> None:
 def test_a_button_pressed_twice_arms_once_and_is_no_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    director = Director()
-    director.analyse.clear()
-    with running(tmp_path, director) as (client, _):
-        location = start(client, arm=False)
-        wait_for(client, location, "awaiting_arm")
+    with running(tmp_path, Director(held_in="analysing")) as (client, _):
+        location = started(client, "awaiting_arm", arm=False)
         store = client.app.state.service.store  # type: ignore[attr-defined]
         save = store.save_state
 
@@ -94,8 +98,8 @@ def test_a_button_pressed_twice_arms_once_and_is_no_error(
 
 def test_a_test_run_asks_for_at_most_a_tenth_of_the_torque(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
-        wait_for(client, start(client, mode="test"), "awaiting_accept")
-        wait_for(client, start(client, mode="full"), "awaiting_accept")
+        started(client, mode="test")
+        started(client, mode="full")
     assert director.workers[0].job.amplitude_scale <= 0.1
     assert director.workers[1].job.amplitude_scale == 1.0
 
@@ -103,9 +107,7 @@ def test_a_test_run_asks_for_at_most_a_tenth_of_the_torque(tmp_path: Path) -> No
 @pytest.mark.campaign
 def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
-        location = start(client)
-        wait_for(client, location, "awaiting_accept")
-        act(client, location, "accept")
+        location = accepted(client)
         for path in (
             "/api/v1/cells",
             "/api/v1/cells/cell",
@@ -137,9 +139,7 @@ def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
 
 
 def test_a_second_start_is_refused_and_names_the_run_in_progress(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path, Director(held_in="running")) as (client, _):
         location = start(client)
         document = problem(client.post(START, json={"mode": "full"}), 409, "run-in-progress")
         assert document["identification"] == location.rsplit("/", 1)[1]
@@ -217,12 +217,8 @@ def test_a_stop_ends_the_run_as_stopped_whatever_it_does(tmp_path: Path, state: 
 
 
 def test_a_runner_that_does_not_hear_the_stop_is_killed(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    director.deaf = True
-    with running(tmp_path, director, stop_grace_s=0.2) as (client, _):
-        location = start(client)
-        wait_for(client, location, "running")
+    with running(tmp_path, Director(held_in="running", deaf=True), stop_grace_s=0.2) as (client, director):
+        location = started(client, "running")
         client.post(STOP)
         failed = wait_for(client, location, "failed")  # nobody saw its axes at rest
         assert director.workers[0].killed.is_set()
@@ -234,13 +230,11 @@ def test_a_runner_that_does_not_hear_the_stop_is_killed(tmp_path: Path) -> None:
 def test_after_a_stop_whose_runner_is_lost_every_axis_is_unknown_and_nobody_says_stopped(
     tmp_path: Path, killed: bool
 ) -> None:
-    director = Director()
-    director.go.clear()
+    director = Director(held_in="running")
     director.die, director.deaf = True, killed
     director.axes = (LastSeen("A1", "operation enabled", 0.0),)
     with running(tmp_path, director, stop_grace_s=0.2 if killed else 5.0) as (client, _):
-        location = start(client)
-        wait_for(client, location, "running")
+        location = started(client, "running")
         assert client.post(STOP).json()["unknown"] is False  # it is being stopped yet
         failed = wait_for(client, location, "failed")
         assert failed["error"]["code"] == ("not-stopped" if killed else "runner-died")
@@ -254,18 +248,15 @@ def test_after_a_stop_whose_runner_is_lost_every_axis_is_unknown_and_nobody_says
         assert (answer["stopping"], answer["unknown"]) == (False, True)
         director.die = director.deaf = False
         director.go.set()
-        wait_for(client, start(client), "awaiting_accept")
+        started(client)
         assert client.post(STOP).json()["unknown"] is False
 
 
 def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        location = start(client)
-        wait_for(client, location, "running")
+    with running(tmp_path, Director(held_in="running")) as (client, director):
+        location = started(client, "running")
         service = client.app.state.service  # type: ignore[attr-defined]
 
         def locked(*_: Any, **__: Any) -> None:
@@ -282,20 +273,14 @@ def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_ful
         began = time.monotonic()
         assert client.post(STOP).status_code == 200
         assert time.monotonic() - began < 2.0
-        deadline = time.monotonic() + 2.0
-        while not director.workers[0].stopped.is_set() and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert director.workers[0].stopped.is_set()
+        until(director.workers[0].stopped.is_set, 2.0)
         monkeypatch.undo()
         wait_for(client, location, "stopped")
 
 
 def test_cancel_is_idempotent_and_ended_states_never_change(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        location = start(client)
-        wait_for(client, location, "running")
+    with running(tmp_path, Director(held_in="running")) as (client, _):
+        location = started(client, "running")
         for _ in range(3):
             assert act(client, location, "cancel").json()["state"] == "cancelled"
         for kind in ("arm", "accept", "reject"):
@@ -305,14 +290,12 @@ def test_cancel_is_idempotent_and_ended_states_never_change(tmp_path: Path) -> N
 
 
 def test_a_runner_that_dies_makes_the_run_fail_and_frees_the_cell(tmp_path: Path) -> None:
-    director = Director()
-    director.die = True
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path, Director(die=True)) as (client, director):
         location = start(client)
         failed = wait_for(client, location, "failed")
         assert failed["error"]["code"] == "runner-died"
         director.die = False
-        wait_for(client, start(client), "awaiting_accept")
+        started(client)
 
 
 def test_a_run_nobody_arms_is_cancelled_after_its_time(tmp_path: Path) -> None:
@@ -323,16 +306,11 @@ def test_a_run_nobody_arms_is_cancelled_after_its_time(tmp_path: Path) -> None:
 
 @pytest.mark.campaign
 def test_accepted_models_form_a_history_and_can_be_restored(tmp_path: Path) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path) as (client, director):
         problem(client.get("/api/v1/cells/cell/model"), 404, "model-not-found")
-        first = start(client)
-        wait_for(client, first, "awaiting_accept")
-        act(client, first, "accept")
+        first = accepted(client)
         director.model = lambda: model_document(scale_mass=1.2)
-        second = start(client)
-        wait_for(client, second, "awaiting_accept")
-        act(client, second, "accept")
+        second = accepted(client)
         assert act(client, second, "accept").status_code == 200
         current = client.get("/api/v1/cells/cell/model").json()
         assert current["branches"][1]["masses"][2]["value"] == pytest.approx(7.2)
@@ -352,9 +330,7 @@ def test_results_within_the_stated_bounds_are_accepted_automatically(
     director = Director()
     bounds = {"max_change_percent": 5.0}
     with running(tmp_path, director, auto_accept=bounds) as (client, _):
-        first = start(client)
-        wait_for(client, first, "awaiting_accept")  # the first one is looked at by a person
-        act(client, first, "accept")
+        accepted(client)
         director.model = lambda: model_document(scale_mass=scale)
         second = start(client)
         wait_for(client, second, state)
@@ -364,14 +340,11 @@ def test_results_within_the_stated_bounds_are_accepted_automatically(
 
 @pytest.mark.campaign
 def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path) as (client, director):
         problem(client.get("/api/v1/cells/cell/changes"), 409, "no-comparison")
         for scale in (1.0, 1.2):
             director.model = lambda scale=scale: model_document(scale_mass=scale)  # type: ignore[misc]
-            location = start(client)
-            wait_for(client, location, "awaiting_accept")
-            act(client, location, "accept")
+            accepted(client)
         changes = client.get("/api/v1/cells/cell/changes").json()
         assert changes["simulated"] is True
         assert [p["parameter"] for p in changes["parameters"] if p["status"] == "changed"] == ["A2.mass.3"]
@@ -384,14 +357,11 @@ def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
 def test_the_default_changes_average_accepted_runs_and_two_named_models_only_where_asked(
     tmp_path: Path,
 ) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path) as (client, director):
         ids = []
         for scale in (1.0, 1.0, 1.0, 1.2, 1.2):
             director.model = lambda scale=scale: model_document(scale_mass=scale)  # type: ignore[misc]
-            location = start(client)
-            wait_for(client, location, "awaiting_accept")
-            act(client, location, "accept")
+            location = accepted(client)
             ids.append(location.rsplit("/", 1)[1])
             if len(ids) == 4:
                 changes = client.get("/api/v1/cells/cell/changes").json()
@@ -409,15 +379,13 @@ def test_the_default_changes_average_accepted_runs_and_two_named_models_only_whe
 
 def test_every_request_that_can_move_the_robot_is_in_the_audit_log(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
-        location = start(client, arm=False)
-        wait_for(client, location, "awaiting_arm")
+        location = started(client, "awaiting_arm", arm=False)
         act(client, location, "arm")
         wait_for(client, location, "awaiting_accept")
         act(client, location, "accept")
         client.post(STOP)
-        deadline = time.monotonic() + 30.0
-        while len(lines := client.get("/api/v1/audit").json()) < 4 and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until(lambda: len(client.get("/api/v1/audit").json()) >= 4, 30.0)
+        lines = client.get("/api/v1/audit").json()
     assert [line["action"] for line in lines] == ["start", "arm", "accept", "stop"]
     assert {line["caller"] for line in lines} == {"local"}
     assert lines[0]["mode"] == "full"
@@ -445,7 +413,7 @@ def test_an_audit_log_that_cannot_be_written_lets_nothing_start(
         problem(client.post(START, json={"mode": "full", "arm": True}), 503, "store-unavailable")
         monkeypatch.undo()
         assert director.workers == []
-        wait_for(client, start(client), "awaiting_accept")
+        started(client)
 
 
 def test_a_store_whose_disk_is_full_says_so_and_not_that_it_is_slow(
@@ -471,9 +439,7 @@ def test_a_store_whose_disk_is_full_says_so_and_not_that_it_is_slow(
 
 
 def test_a_motion_of_which_nothing_is_heard_is_stopped(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director, motion_silence_s=0.3) as (client, _):
+    with running(tmp_path, Director(held_in="running"), motion_silence_s=0.3) as (client, director):
         location = start(client)
         ended = wait_for(client, location, "cancelled", timeout=5.0)
         assert director.workers[0].said[-1] == Stop()

@@ -37,8 +37,7 @@ def accept(client: Any, director: Director, made: dict[str, Any]) -> dict[str, A
 
 @pytest.mark.campaign
 def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Path) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path) as (client, director):
         accept(client, director, document(None))
         run = accept(client, director, document(3e-4))
         headline = run["summary"]["headline"]
@@ -63,8 +62,7 @@ def test_a_cause_that_came_is_never_accepted_without_a_person(tmp_path: Path) ->
 
 @pytest.mark.campaign
 def test_the_history_of_a_parameter_and_of_a_cause_is_a_series_in_json_and_csv(tmp_path: Path) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path) as (client, director):
         for gap in (None, 3e-4, 5e-4):
             accept(client, director, document(gap))
         play = client.get(f"{API}/series", params={"parameter": "A2.backlash.spring 1"}).json()

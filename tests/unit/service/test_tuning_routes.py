@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import START, Director, model_document, running, start, wait_for
+from service_doubles import START, Director, model_document, running, started
 from starlette.testclient import TestClient
 
 PATIENCE_S = 180.0
@@ -34,9 +34,7 @@ def small_diagnosis() -> dict[str, Any]:
 
 
 def finished(client: TestClient) -> str:
-    location = start(client)
-    wait_for(client, location, "awaiting_accept")
-    return location
+    return started(client)
 
 
 def tuned(client: TestClient, location: str) -> Any:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import Director, ScriptedWorker, model_document, running, wait_for
-from test_hostile_requests import hdf5, kind
+from service_doubles import Director, ScriptedWorker, kind, model_document, running, wait_for
+from test_who_may_call import hdf5
 
 from invid_service.jobs.protocol import Job
 from invid_service.problems import Problem

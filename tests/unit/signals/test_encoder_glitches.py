@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.encoder_glitches import remove_glitches

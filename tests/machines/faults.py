@@ -1,8 +1,4 @@
-"""Fault campaign: seeded random faults (kind, moment, axis, phase of the run) in virtual time.
-
-    python benchmarks/drivers/bench_faults.py [--runs 500] [--seed 0] [--markdown] [--results runs.jsonl]
-
-``--results`` keeps every run in a file and goes on where an interrupted campaign stopped.
+"""Seeded random faults (kind, moment, axis, phase of the run) in virtual time, on the simulated drives.
 
 Every run is a whole measurement on the simulated cell with one fault. Afterwards, on the true state of
 the plant and the drives, not on what the master believes:
@@ -15,7 +11,6 @@ the plant and the drives, not on what the master believes:
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +18,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.shared.campaign import judged_runs
 from invid.config import CellConfig, parse_config
 from invid.errors import InvidError
 from invid.planning import make_plan
@@ -168,50 +162,21 @@ def cell_config(faults: list[dict[str, Any]], seed: int) -> CellConfig:
 
 
 class Truth:
-    """The plant's own motion, watched past the encoders."""
+    """Largest distance of each motor from its start, and largest speed, watched past the encoders."""
 
     def __init__(self, simulated: Any) -> None:
-        self._plant = simulated.plant
-        self._motors = self._plant.structure.motors
-        count = self._plant.state.size // 2
-        self._start = self._plant.state[self._motors].copy()
-        self._velocity = self._motors + count
-        self._travel = np.zeros(self._motors.size)
-        self._speed = np.zeros(self._motors.size)
-        self._seen = np.zeros((4096, self._plant.state.size))
-        self._rows = 0
-        observe = self._plant.observe
+        plant = simulated.plant
+        motors, count, observe = plant.structure.motors, plant.state.size // 2, plant.observe
+        start = plant.state[motors].copy()
+        self.travel, self.speed = np.zeros((2, motors.size))
 
         def watched(now_ns: int, noise: Any) -> Any:
             rows = observe(now_ns, noise)
-            self._seen[self._rows] = self._plant.state
-            self._rows += 1
-            if self._rows == len(self._seen):
-                self._take()
+            np.maximum(self.travel, np.abs(plant.state[motors] - start), out=self.travel)
+            np.maximum(self.speed, np.abs(plant.state[motors + count]), out=self.speed)
             return rows
 
-        self._plant.observe = watched
-
-    def _take(self) -> None:
-        """The largest so far; thousands of rows at once, because one at a time takes a sixth of a run."""
-        seen = self._seen[: self._rows]
-        if self._rows:
-            away = np.abs(seen[:, self._motors] - self._start).max(axis=0)
-            np.maximum(self._travel, away, out=self._travel)
-            np.maximum(self._speed, np.abs(seen[:, self._velocity]).max(axis=0), out=self._speed)
-        self._rows = 0
-
-    @property
-    def travel(self) -> Any:
-        """Largest distance of each motor from its start."""
-        self._take()
-        return self._travel
-
-    @property
-    def speed(self) -> Any:
-        """Largest speed of each motor."""
-        self._take()
-        return self._speed
+        plant.observe = watched
 
 
 def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
@@ -304,7 +269,3 @@ def _recording(out: Path, given: int, status: int, complaints: list[str]) -> int
     if recording.outcome is not wanted and not (status == 5 and recording.outcome is Outcome.COMPLETED):
         complaints.append(f"marked {recording.outcome}, exit {status}")
     return rows
-
-
-if __name__ == "__main__":
-    sys.exit(judged_runs(__doc__, EXPECTED, run_one, RunOutcome))
