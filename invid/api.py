@@ -404,8 +404,8 @@ def tune(
     Returns
     -------
     Tuning
-        ``axes`` with gains, feedforward, shaper, margins and the reference move, each before and after;
-        ``repairs`` in the order of what they buy. ``invid.write_tuning`` writes the files.
+        ``axes`` with gains, feedforward, shaper, margins and the reference move, each before and after.
+        ``invid.write_tuning`` writes the files.
 
     Raises
     ------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -27,11 +26,7 @@ from invid.batch.analysis import (
     find_recordings,
     row,
 )
-from invid.batch.fleet import FALSE_ALARMS, FleetRow, compare_fleet, find_baselines, write_changes
 from invid.errors import InputError, InvidError
-from invid.model.diagnosis_document import diagnosis_from_json
-from invid.model.document import Model
-from invid.model.doubts import doubts_of
 from invid.processes import Helper
 
 Submit = Callable[[str, Path], Future[Outcome]]
@@ -52,8 +47,6 @@ class BatchReport:
     kept: int
     index: str
     seconds: float
-    fleet: tuple[FleetRow, ...] = ()
-    """Recordings beside their baselines, the weightiest change first."""
 
     @property
     def done(self) -> int:
@@ -70,7 +63,6 @@ class BatchReport:
             "kept": self.kept,
             "seconds": round(self.seconds, 3),
             "rows": [row(o) for o in self.outcomes],
-            **({"changes": [r.to_json() for r in self.fleet]} if self.fleet else {}),
             "warnings": [said(o) for o in self.outcomes if o.status == "failed"],
         }
 
@@ -80,15 +72,13 @@ def said(outcome: Outcome) -> str:
     return f"{outcome.recording}: {outcome.verdict or outcome.error.removeprefix(outcome.recording + ': ')}"
 
 
-def run_batch(  # noqa: PLR0913 - each is one option of the command
+def run_batch(
     folder: Path,
     results: Path,
     options: Options,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-    baseline: Path | None = None,
-    false_alarms: float = FALSE_ALARMS,
     told: Callable[[str], None] = lambda _text: None,
 ) -> BatchReport:
     """Analyse what ``results`` does not have yet.
@@ -99,9 +89,6 @@ def run_batch(  # noqa: PLR0913 - each is one option of the command
         Address of a Dask scheduler (``tcp://host:8786``); default: processes of this machine.
     workers
         Recordings at once; default: the cores of this machine, or two a thread of the cluster.
-    baseline, false_alarms
-        Models to compare with (see ``fleet``), and the probability of calling anything changed in a fleet
-        that did not.
     told
         Is given a line for each recording.
 
@@ -112,7 +99,6 @@ def run_batch(  # noqa: PLR0913 - each is one option of the command
     """
     began = time.monotonic()
     found = find_recordings(folder, results)
-    baselines = None if baseline is None else find_baselines(baseline, found)
     with Results(results, options) as store:
         checksums = {name: checksum_of(path) for name, path in found.items()}
         outcomes = {n: o for n in found if (o := store.kept(n, checksums[n])) is not None}
@@ -131,12 +117,7 @@ def run_batch(  # noqa: PLR0913 - each is one option of the command
         finally:
             store.write_index(outcomes.values())
     rows = tuple(outcomes[name] for name in sorted(outcomes))
-    fleet: tuple[FleetRow, ...] = ()
-    if baselines is not None:
-        models = {o.recording: _model_of(o) for o in rows}
-        fleet = tuple(compare_fleet(models, baselines, false_alarms))
-        write_changes(results, fleet)
-    return BatchReport(rows, kept, str(results / INDEX), time.monotonic() - began, fleet)
+    return BatchReport(rows, kept, str(results / INDEX), time.monotonic() - began)
 
 
 @contextmanager
@@ -212,12 +193,3 @@ def _outcome(future: Future[Outcome], name: str) -> Outcome:
 
 def _gone() -> ClusterError:
     return ClusterError("--scheduler: it is gone; what is done is stored, the same command goes on")
-
-
-def _model_of(outcome: Outcome) -> Model | str:
-    """The extended model of a recording; else why there is none to compare."""
-    if outcome.status != "done":
-        return outcome.error
-    model = diagnosis_from_json(json.loads(outcome.diagnosis), source=outcome.recording).model
-    doubts = [d.text for d in doubts_of(model.fit) if d.spoils_changes]
-    return doubts[0] if doubts else model

@@ -30,14 +30,6 @@ def register(app: typer.Typer) -> None:
             None, help="Masses of each axis, as 3,3,3; or auto. Default: what each recording says."
         ),
         budget: float | None = typer.Option(None, metavar="SECONDS", help="Time for each recording."),
-        baseline: Path | None = typer.Option(
-            None,
-            metavar="FOLDER|CELLS",
-            help="Say what changed since: results of an earlier batch, or a YAML list 'pattern: model'.",
-        ),
-        false_alarms: float = typer.Option(
-            1.0, min=1e-6, max=50.0, help="Per cent, of calling anything changed in an unchanged fleet."
-        ),
         as_json: bool = typer.Option(False, "--json", help="Print one JSON document."),
     ) -> int:
         """Identify and diagnose every recording below a folder; run the same again to go on."""
@@ -48,27 +40,13 @@ def register(app: typer.Typer) -> None:
             raise InputError(f"--budget {budget:g}: must be above 0")
         options = Options(parse_masses(masses), budget)
         try:
-            report = run_batch(
-                folder,
-                results,
-                options,
-                scheduler=scheduler,
-                workers=workers,
-                told=note,
-                baseline=baseline,
-                false_alarms=false_alarms / 100.0,
-            )
+            report = run_batch(folder, results, options, scheduler=scheduler, workers=workers, told=note)
         except KeyboardInterrupt:
             note("interrupted; the same command goes on where this one was")
             raise
         document = report.to_json()
         count = f"{report.done} of {len(report.outcomes)}"
         lines = [f"{count} recordings done in {report.seconds:.1f} s: {report.index}"]
-        if baseline is not None:
-            lines.append(
-                f"what changed, the weightiest first ({false_alarms:g} % false alarms for the whole fleet):"
-            )
-            lines += [f"  {r.recording}: {r.headline}" for r in report.fleet]
         lines += [f"failed: {text}" for text in document["warnings"]]
         emit(document, "\n".join(lines), as_json=as_json)
         return EXIT_OK if report.done else EXIT_NOT_TRUSTWORTHY

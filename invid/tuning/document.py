@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from operator import attrgetter
@@ -10,12 +9,11 @@ from typing import Any, NamedTuple
 
 from invid.model.document import (
     csv_text,
-    effect_to_json,
     model_to_json,
     with_numbers,
 )
 from invid.tuning.axis_loop import FORMAT, FORMAT_VERSION
-from invid.tuning.tune import Repair, Tuning
+from invid.tuning.tune import Tuning
 
 
 class Value(NamedTuple):
@@ -95,30 +93,7 @@ def tuning_to_json(tuning: Tuning) -> dict[str, Any]:
         "before": tuning.before_source,
         "axes": [asdict(a) for a in tuning.axes],
         "model": model_to_json(tuning.model),
-        "repairs": [_repair_to_json(r, angle) for r in tuning.repairs],
         "remarks": list(tuning.remarks),
     }
     plain: dict[str, Any] = with_numbers(document)
     return plain
-
-
-def _repair_to_json(r: Repair, unit: str) -> dict[str, Any]:
-    return {
-        "effect": effect_to_json(r.effect),
-        "axis": r.axis,
-        "following": {"with": r.following[0], "without": r.following[1]},
-        "at_load": {"with": r.at_load[0], "without": r.at_load[1]},
-        "sentence": repair_sentence(r, unit),
-    }
-
-
-def repair_sentence(r: Repair, unit: str) -> str:
-    """ "without backlash on A1 the error of the load falls from 2.4 to 1.5 mrad"."""
-    sizes = {"following error": r.following, "error of the load": r.at_load}
-    name, (now, then) = max(sizes.items(), key=lambda size: size[1][0] - size[1][1])
-    place = f"{r.effect.cause} on {r.effect.axis}"
-    if not all(map(math.isfinite, (now, then))):
-        return f"what {place} costs cannot be told: the move does not end"
-    if now - then < 0.01 * now:
-        return f"without {place} the new values would do no better"
-    return f"without {place} the {name} falls from {1e3 * now:.3g} to {1e3 * then:.3g} m{unit}"

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from invid.disk import not_written
 from invid.errors import InputError
-from invid.model.document import csv_text, describe_validation_error, dump_json, save_text
+from invid.model.document import describe_validation_error, dump_json, save_text
 from invid.tuning.document import tuning_table, tuning_to_json
 from invid.tuning.motor_scale import MotorScale
 from invid.tuning.page import tuning_page, tuning_picture
@@ -82,70 +82,9 @@ def ros2_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
     )
 
 
-def moveit_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
-    """MoveIt's ``joint_limits.yaml``: the acceleration at which inertia and friction take the torque
-    limit."""
-    limits, lost = {}, ["MoveIt's joint limits hold no gains, notch filters or feedforward"]
-    for a in tuning.axes:
-        limit = motors[a.axis].torque_limit_Nm if a.axis in motors else None
-        forward = a.after.feedforward
-        if limit is None:
-            lost.append(f"{a.axis}: no acceleration limit without torque_limit_Nm (--motors)")
-            continue
-        left = limit - forward.dry - abs(forward.offset) - forward.weight
-        if left <= 0:
-            lost.append(f"{a.axis}: friction and weight take the whole torque limit of {limit:g}")
-            continue
-        limits[a.axis] = {"has_acceleration_limits": True, "max_acceleration": left / forward.inertia}
-    if not limits:
-        return Form({}, tuple(lost))
-    return Form(
-        {"moveit_joint_limits.yaml": yaml.safe_dump({"joint_limits": limits}, sort_keys=False)}, tuple(lost)
-    )
-
-
-_INFOSYS = "infosys.beckhoff.com/content/1033/"
-_TOOLBOX = ("TwinCAT Tc2_ControllerToolbox ST_CTRL_NOTCH_FILTER_PARAMS", "fNotchFreq", "fBandwidth")
-_FILTER = ("TwinCAT Tc3_Filter ST_FTR_Notch", "fNotchFrequency", "fQ")
-_CODESYS = "content.helpme-codesys.com/en/libs/SM3_Basic/4.20.0.0/SM3_Basic/POUs/Movement/"
-_FREE_PLAY = (
-    ("TwinCAT Tc2_MC2 MC_BacklashCompensation.Backlash", f"{_INFOSYS}tcplclib_tc2_mc2/9760638347.html"),
-    ("CODESYS SM3_Basic SMC_BacklashCompensation.fBacklash", f"{_CODESYS}SMC_BacklashCompensation.html"),
-)
-"""Blocks with the names of what they take, and the pages that say so."""
-
-
-def plc_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
-    """Names under which TwinCAT and CODESYS take notches and free play, as published, each with its page."""
-    rows: list[tuple[str, str, float, str, str]] = []
-    for a in tuning.axes:
-        for k, n in enumerate(a.after.gains.notches, 1):
-            width = 2.0 * n.pole_damping
-            for block, page, values in (
-                (_TOOLBOX, "tf4100_tc3_controller_toolbox/245452555", (n.frequency, width)),
-                (_FILTER, "tf3680_tc3_filter/11008009483", (n.frequency, 1.0 / width)),
-            ):
-                rows += [
-                    (a.axis, f"{block[0]} ({k}).{name}", value, unit, f"{_INFOSYS}{page}.html")
-                    for name, value, unit in zip(block[1:], values, ("Hz", ""), strict=True)
-                ]
-        if a.backlash:
-            unit = "m" if tuning.model.linear else "rad"
-            rows += [(a.axis, name, a.backlash, unit, page) for name, page in _FREE_PLAY]
-    if not rows:
-        return Form({}, ("no notch filter and no free play: nothing for TwinCAT or CODESYS",))
-    lost = (
-        "the notches of TwinCAT go down to nothing, these do not: they cost more phase than was counted",
-        "free play is in units of the axis: scale it to the axis' own",
-    )
-    return Form({"plc-names.csv": csv_text(("axis", "name", "value", "unit", "source"), rows)}, lost)
-
-
 FORMS: dict[str, Callable[[Tuning, dict[str, MotorScale]], Form]] = {
     "klipper": klipper_form,
     "ros2_control": ros2_form,
-    "moveit": moveit_form,
-    "plc": plc_form,
 }
 
 

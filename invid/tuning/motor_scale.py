@@ -14,5 +14,3 @@ class MotorScale(BaseModel):
     torque_constant_Nm_per_A: float | None = Field(default=None, gt=0)
     """Of the motor's shaft."""
     node_id: int = Field(default=1, ge=1, le=127)
-    torque_limit_Nm: float | None = Field(default=None, gt=0)
-    """Of the axis, as the model counts torque (N on a linear axis): acceleration limits follow from it."""

@@ -1,4 +1,4 @@
-"""A tuning on one page (Bode plot of every loop, the reference move, values, margins, what repair buys);
+"""A tuning on one page (Bode plot of every loop, the reference move, values, margins);
 a verification as a document, a sentence an axis and a picture, measured beside predicted."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from invid.model.document import with_numbers
 from invid.report.figures import plain_hz
 from invid.report.labels import label, printable
 from invid.report.style import AFTER, BEFORE, INK, svg
-from invid.tuning.document import repair_sentence, values_of
+from invid.tuning.document import values_of
 from invid.tuning.gains import PROMISE
 from invid.tuning.margins import drawn_plants
 from invid.tuning.tune import SPREAD_DRAWS, AxisTuning, Tuning
@@ -108,7 +108,6 @@ def tuning_page(tuning: Tuning, losses: Mapping[str, tuple[str, ...]]) -> str:
         picture=bode_and_move(tuning),
         axes=[_axis_rows(a, unit) for a in tuning.axes],
         values=[(v.axis, v.name, number(v.before), number(v.after), v.unit) for v in values_of(tuning)],
-        repairs=[repair_sentence(r, unit) for r in tuning.repairs],
         remarks=tuning.remarks,
         losses=dict(losses),
         before=tuning.before_source,

@@ -1,4 +1,4 @@
-"""What ``invid tune`` finds: the values of every axis, the margins they leave, and what repair would buy."""
+"""What ``invid tune`` finds: the values of every axis, and the margins they leave."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from invid.tuning.closed_loop import ClosedLoop, closed_loop, load_mode
 from invid.tuning.feedforward import NONE, Feedforward, feedforward
 from invid.tuning.gains import PROMISE, design_gains, gains_at, own_inertias, slower
 from invid.tuning.margins import Margins, drawn_plants, seen_modes, worst_margins
-from invid.tuning.plant_draws import LOOP_CAUSES, candidates, drawn_models
+from invid.tuning.plant_draws import candidates, drawn_models
 from invid.tuning.servo_loop import DriveTiming, Gains
 from invid.tuning.shapers import Shaper, choose_shaper
 from invid.tuning.simulated_loops import (
@@ -124,22 +124,6 @@ class AxisTuning:
     after: TunedLoop
 
 
-@dataclass(frozen=True)
-class Repair:
-    """What one effect costs with the new values: rms following error of the drive and rms error of the load
-    [rad or m] with it and without, on the axis where the difference is largest, in the reference move."""
-
-    effect: EffectTerm
-    axis: str
-    following: tuple[float, float]
-    at_load: tuple[float, float]
-
-    @property
-    def bought(self) -> float:
-        """What repair takes off the larger of the two errors' changes."""
-        return max(a - b for a, b in (self.following, self.at_load))
-
-
 @dataclass(frozen=True, eq=False)
 class Tuning:
     """The result. ``before_source`` says what ``before`` was; ``remarks`` what was open or left out."""
@@ -147,7 +131,6 @@ class Tuning:
     model: Model
     settings: TuneSettings
     axes: tuple[AxisTuning, ...]
-    repairs: tuple[Repair, ...]
     remarks: tuple[str, ...]
     before_source: str
     command: Command
@@ -225,7 +208,6 @@ def tune_model(
         model,
         settings,
         tuple(axes),
-        _repairs(model, after, command, timing, moves_after),
         (*found.remarks, *_left_out(lost, forward, model.axes), *_remarks(axes, settings.ripple)),
         said if before else STAND_IN,
         command,
@@ -365,27 +347,3 @@ def _remarks(axes: Sequence[AxisTuning], ripple: float) -> list[str]:
             )
         )
     return out
-
-
-def _repairs(
-    model: Model, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming, now: Sequence[MoveFigures]
-) -> tuple[Repair, ...]:
-    """Every effect that can be mended taken out, most bought first; feedforward loses what it answered."""
-    out = []
-    for term in model.effects:
-        if term.cause in LOOP_CAUSES and term.cause not in ("viscous_friction", "extra_mode"):
-            continue
-        without = _without(model, [term])
-        plant = linear_plant(without)
-        free = [
-            replace(loop, feedforward=feedforward(without, plant, i, loop.feedforward.inertia, ()))
-            for i, loop in enumerate(loops)
-        ]
-        then = move_figures(run_loops(without, free, command, timing), command)
-        bought = [
-            max(a.following - b.following, a.at_load - b.at_load) for a, b in zip(now, then, strict=True)
-        ]
-        k = int(np.argmax(bought))
-        pairs = [(getattr(now[k], key), getattr(then[k], key)) for key in ("following", "at_load")]
-        out.append(Repair(term, model.axes[k], *pairs))
-    return tuple(sorted(out, key=lambda r: -r.bought))

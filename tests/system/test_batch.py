@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -125,25 +124,6 @@ def test_a_second_run_does_only_what_is_not_there_as_it_would_be(
     # Another version, another question or another recording is none of it.
     store = Results(tmp_path, Options(masses=(2,)))
     assert store.kept(GOOD[0], "") is None
-
-
-def test_a_fleet_beside_itself_has_not_changed_and_a_missing_baseline_is_said(
-    folder: Path, local: Path, tmp_path: Path
-) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(local, results)
-    accepted = tmp_path / "accepted"
-    shutil.copytree(local / "cell 1", accepted / "cell 1")
-    status, out, err = run(folder, "-o", results, "--baseline", accepted, "--json")
-    assert status == 0, err
-    document = json.loads(out)
-    assert document["kept"] == 6
-    said = {c["recording"]: c["headline"] for c in document["changes"]}
-    assert set(said) == {*GOOD, *BAD}
-    assert all(said[n].startswith("Nothing") for n in GOOD[:2])
-    assert all("no baseline" in said[n] for n in GOOD[2:])
-    assert (results / "changes.csv").is_file()
-    assert run(folder, "-o", results, "--baseline", tmp_path / "nothing")[0] == 2
 
 
 def children(pid: int) -> list[int]:

@@ -11,7 +11,6 @@ from invid.api import tune, write_tuning
 from invid.cli.output import EXIT_OK, emit, note
 from invid.model.diagnosis_document import load_document
 from invid.model.document import load_json
-from invid.tuning.document import repair_sentence
 from invid.tuning.page import headline
 
 
@@ -57,8 +56,6 @@ def register(app: typer.Typer) -> None:
         written = write_tuning(tuned, output, drive=drive, motors=motors)
         for text in tuned.remarks:
             note(f"note: {text}")
-        unit = "m" if tuned.model.linear else "rad"
-        lines = [headline(tuned), *(repair_sentence(r, unit) for r in tuned.repairs)]
-        lines.append(f"{', '.join(written.files)} in {written.folder}; look at tuning.html first")
-        emit(load_json(output / "tuning.json"), "\n".join(lines), as_json=as_json)
+        files = f"{', '.join(written.files)} in {written.folder}; look at tuning.html first"
+        emit(load_json(output / "tuning.json"), f"{headline(tuned)}\n{files}", as_json=as_json)
         return EXIT_OK

@@ -108,7 +108,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
 
 @router.get("/identifications/{identification}/tuning", response_class=Response, responses=_ANSWERS)
 async def get_tuning(request: Request, service: Context, _caller: Reader, run: RunInPath) -> Response:
-    """Return the values for the drives, before and after, with their margins and what repair would buy."""
+    """Return the values for the drives, before and after, with their margins."""
     record = run.record
     if service.tunings.is_running(record.id):
         state = TuningState(simulated=record.simulated).model_dump_json()

@@ -21,7 +21,7 @@ from invid_drivers.values.forms import drive_values_form
 from invid_drivers.values.rows import DRIVES
 
 MOTORS = {
-    "A1": MotorScale(gear=50.0, torque_constant_Nm_per_A=0.05, node_id=3, torque_limit_Nm=20.0),
+    "A1": MotorScale(gear=50.0, torque_constant_Nm_per_A=0.05, node_id=3),
     "A2": MotorScale(gear=80.0, torque_constant_Nm_per_A=0.07, node_id=4),
 }
 

@@ -16,7 +16,7 @@ from invid.tuning.gains import PROMISE
 from invid.tuning.margins import worst_margins
 from invid.tuning.plant_draws import drawn_models
 from invid.tuning.shapers import choose_shaper, residual_vibration
-from invid.tuning.simulated_loops import move_figures, run_loops
+from invid.tuning.simulated_loops import run_loops
 from invid.tuning.tune import TuneSettings, tune_model
 from invid.wording.sentence import say
 
@@ -36,20 +36,6 @@ def test_the_move_is_better_than_with_the_timid_gains():
         assert axis.after.move.following < 0.3 * axis.before.move.following
         assert axis.after.move.at_load < axis.before.move.at_load
         assert np.isfinite(axis.after.move.settling)
-
-
-def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_the_findings():
-    tuning = tuned()
-    bought = [r.bought for r in tuning.repairs]
-    assert bought == sorted(bought, reverse=True)
-    play = next(r for r in tuning.repairs if r.effect.cause == "backlash")
-    assert play.axis == "A2"
-    whole = replace(machine(), effects=tuple(e for e in machine().effects if e.cause != "backlash"))
-    loops = [a.after for a in tuning.axes]
-    run = run_loops(whole, loops, tuning.command, tuning.settings.timing)
-    then = move_figures(run, tuning.command)[1]
-    assert play.at_load == pytest.approx((tuning.axes[1].after.move.at_load, then.at_load))
-    assert play.bought > 0
 
 
 def test_an_encoder_so_coarse_that_no_loop_holds_the_axis_is_refused_with_the_ripple_of_one_that_does():

@@ -3,7 +3,7 @@ import { Problem, call, read } from "./api.js";
 import { $, el, fill, fmt, table } from "./dom.js";
 import { say } from "./said.js";
 import { refused, spoken } from "./spoken.js";
-import { named, t } from "./texts.js";
+import { t } from "./texts.js";
 import { offerVerify } from "./verify.js";
 
 const AGAIN_MS = 2000, SAVED = { "tuning-files": "tuning.zip", "tuning-page": "tuning.html" };
@@ -71,12 +71,11 @@ async function show(run, tuning) {
   };
   table(gains, [t("tune.values"), ...tuning.axes.map((a) => a.axis)], Object.entries(rows).map(([name, of_]) => ({ cells: [t(`tune.${name}`, { unit, torque, angle }), ...tuning.axes.map(of_)] })));
   const picture = el("div", { class: "scroll", role: "region", "aria-label": t("tune.picture") });
-  const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), remarks = tuning.remarks.map((r) => spoken("li", r));
+  const remarks = tuning.remarks.map((r) => spoken("li", r));
   fill($("tuned"), [
     el("div", { class: "scroll", role: "region", "aria-label": t("tune.title") }, [made]),
     el("div", { class: "scroll", role: "region", "aria-label": t("tune.values") }, [gains]), el("p", { class: "quiet" }, `${t("tune.before")} ${t("tune.before_is", { source: say(tuning.before) })}`),
     el("figure", {}, [el("figcaption", {}, t("tune.picture")), picture]),
-    repairs.length ? el("section", {}, [el("h4", {}, t("tune.repairs")), el("ul", { class: "reasons" }, repairs.map((r) => el("li", {}, r)))]) : null,
     remarks.length ? el("ul", { class: "reasons" }, remarks) : null,
     run.cell ? offerVerify(run.id) : null,
     el("p", { class: "links" }, Object.entries(SAVED).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(name === "tuning-page" ? "tune.page" : "tune.files")))),
@@ -86,11 +85,4 @@ async function show(run, tuning) {
   if (of !== run || svg.nodeName !== "svg") return;
   svg.removeAttribute("style"); // white paper is for a file of its own
   picture.append(document.importNode(svg, true));
-}
-
-// What mending one finding would take off an error, where it is worth a sentence.
-function repair(r, unit) {
-  const [what, sizes] = [["following_error", r.following], ["load_error", r.at_load]].sort((a, b) => (b[1].with - b[1].without) - (a[1].with - a[1].without))[0];
-  if (!(sizes.with - sizes.without > 0.01 * sizes.with)) return null;
-  return t("tune.repair", { cause: named("cause", r.effect.cause), axis: r.effect.axis, what: t(`tune.${what}`), from: fmt(1000 * sizes.with, 3), to: fmt(1000 * sizes.without, 3), unit });
 }
