@@ -27,12 +27,6 @@ WAYS = {
 TAKEN = "a MuJoCo XML (.xml), a URDF (.urdf), an invid model (.json) or an FMU (.fmu)"
 
 
-def masses_of(path: Path, axes: Sequence[str]) -> list[int] | None:
-    """Masses an axis in a simulator's file; None where it is no chain of masses."""
-    claimed = open_simulator(path, axes).claimed()
-    return None if claimed is None else list(claimed.chains.masses_per_branch)
-
-
 def open_simulator(path: Path, axes: Sequence[str]) -> Simulator:
     """The simulator; InputError where there is none or nobody reads it."""
     if not path.is_file():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-import zlib
 from typing import Any
 
 from starlette.exceptions import HTTPException
@@ -31,10 +30,6 @@ def _under(root: str, scope: Scope) -> Scope:
     return {**scope, "path": path, "root_path": root}
 
 
-_GZIP = (b"gzip", b"x-gzip")
-_OF_PACKED = (b"content-encoding", b"content-length")
-
-
 def _as_json(scope: Scope) -> Scope:
     """Return the request with the type of JSON where a program sent none, or an older name of it.
 
@@ -49,30 +44,6 @@ def _as_json(scope: Scope) -> Scope:
         return scope
     others = [h for h in scope["headers"] if h[0] != b"content-type"]
     return {**scope, "headers": [*others, (b"content-type", b"application/json")]}
-
-
-def _unpacked(receive: Receive, limit: int) -> Receive:
-    """Return the body unpacked as it arrives, at most ``limit`` bytes of it."""
-    stream = zlib.decompressobj(16 + zlib.MAX_WBITS)
-    got = 0
-
-    async def unpacked() -> Any:
-        nonlocal got
-        message = await receive()
-        if message["type"] != "http.request":
-            return message
-        try:
-            body = stream.decompress(message.get("body", b""), limit - got + 1)
-        except zlib.error:
-            raise HTTPException(400, "the body is said to be gzip and is not; send it plain") from None
-        got += len(body)
-        if got > limit or stream.unconsumed_tail:
-            raise HTTPException(413, f"the body unpacks to more than {limit} bytes")
-        if not message.get("more_body", False) and not stream.eof:
-            raise HTTPException(400, "the gzip of the body breaks off; send it whole")
-        return {**message, "body": body}
-
-    return unpacked
 
 
 class Guard:
@@ -106,12 +77,7 @@ class Guard:
             response.headers["Connection"] = "close"
             await response(scope, receive, answer)
             return
-        packed = dict(scope["headers"]).get(b"content-encoding", b"").strip().lower()
-        body = self._limited(receive, limit)
-        if packed in _GZIP:
-            scope = {**scope, "headers": [h for h in scope["headers"] if h[0] not in _OF_PACKED]}
-            body = _unpacked(body, limit)
-        await self._app(scope, body, answer)
+        await self._app(scope, self._limited(receive, limit), answer)
 
     def _refusal(self, headers: dict[bytes, bytes], limit: int) -> Problem | None:
         text = headers.get(b"content-length")

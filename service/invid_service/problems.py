@@ -52,7 +52,6 @@ STATUSES: dict[str, int] = {
     "unsupported-media-type": 415,
     "invalid-request": 422,
     "invalid-recording": 422,
-    "invalid-simulator": 422,
     "idempotency-key-reused": 422,
     "upload-stalled": 408,
     "internal-error": 500,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 from pathlib import Path
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from invid_drivers.relay import STOP_S
@@ -15,15 +15,6 @@ _LAST_WORDS_S = 3.0
 MEBIBYTE = 1024 * 1024
 _BUDGET_SHARE = 5 / 6
 """Of ``analysis_timeout_s``; reading, the report and the step in which the time runs out take the rest."""
-
-
-class AutoAccept(BaseModel):
-    """Conditions under which a result is accepted without a person: all of them must hold."""
-
-    max_change_percent: float = Field(gt=0, le=1000)
-    """No parameter may differ from the accepted model by more than this, its uncertainty included."""
-    verdicts: list[str] = ["consistent", "explained"]
-    """Verdicts of the diagnosis that may pass."""
 
 
 class Settings(BaseSettings):
@@ -69,7 +60,6 @@ class Settings(BaseSettings):
     """A motion of which nothing is heard for so long is stopped: the longest wait in one, for a person to
     support a load, takes half a minute."""
     parallel_uploads: int = Field(default=1, ge=1)
-    auto_accept: AutoAccept | None = None
     unchanged_percent: float = Field(default=20.0, gt=0)
     """A change that could be larger than this without being seen is "cannot tell", not "unchanged"."""
 

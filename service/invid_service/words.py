@@ -238,7 +238,6 @@ PROBLEMS = {
     "unsupported-media-type": marked("This kind of body is not taken"),
     "invalid-request": marked("The request holds a value that cannot be used"),
     "invalid-recording": marked("The upload is not a recording"),
-    "invalid-simulator": marked("The simulator is not taken"),
     "idempotency-key-reused": marked("The Idempotency-Key was used with another body"),
     "upload-stalled": marked("The upload stalled"),
     "internal-error": marked("An error of the service"),

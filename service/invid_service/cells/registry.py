@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import logging
 import re
 from collections.abc import Sequence
@@ -117,16 +116,3 @@ def load_cells(configs: Sequence[Path], folder: Path) -> dict[str, Cell]:
             raise ConfigError(f"{path}: another cell is already called {identity!r}; rename the file")
         cells[identity] = Cell(identity, load_config(path), folder)
     return cells
-
-
-def merged(base: Any, patch: Any) -> Any:
-    """Return a document changed by a JSON merge patch (RFC 7396)."""
-    if not isinstance(patch, dict):
-        return patch
-    result = dict(base) if isinstance(base, dict) else {}
-    for key, value in patch.items():
-        if value is None:
-            result.pop(key, None)
-        else:
-            result[key] = merged(result.get(key), value)
-    return json.loads(json.dumps(result))

@@ -11,10 +11,9 @@ from fastapi.responses import JSONResponse
 from invid.errors import InputError
 from invid.model.document import parse_json
 from invid.wording.sentence import with_wording
-from invid_drivers.simulated import truth
 from invid_service.cells.changes import changes_view
 from invid_service.cells.readiness import Checked, Readiness
-from invid_service.cells.registry import Cell, merged
+from invid_service.cells.registry import Cell
 from invid_service.cells.schema import (
     AcceptedModel,
     AxisLimits,
@@ -309,31 +308,16 @@ async def get_changes(
     return with_wording({**found, **changes_view(result, sides)})
 
 
-@router.get("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
-async def get_simulation(service: Context, _caller: Reader, cell: CellInPath) -> SimulationView:
-    """Return a simulated cell as it is now, with the truth to compare with."""
-    # In a thread: the first use loads the simulated drives, and a stop must not wait for that.
-    _require_simulated(cell)
-    return await asyncio.to_thread(_simulation, cell)
-
-
-def _require_simulated(cell: Cell) -> None:
-    if not cell.simulated:
-        text = f"cell {cell.id} has hardware behind it; there is no simulation to change"
-        raise Problem("not-simulated", text)
-
-
-def _simulation(cell: Cell) -> SimulationView:
-    return SimulationView(cell=cell.id, simulation=cell.simulation, truth=truth(cell.config).as_dict())
-
-
 @router.patch("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
 async def change_simulation(
     body: SimulationPatch, service: Context, caller: Runner, cell: CellInPath
 ) -> SimulationView:
     """Change the simulated cell (another tool, say) for the next run; one in progress is not affected."""
-    _require_simulated(cell)
+    if not cell.simulated:
+        text = f"cell {cell.id} has hardware behind it; there is no simulation to change"
+        raise Problem("not-simulated", text)
     try:
+        # In a thread: the first use loads the simulated drives, and a stop must not wait for that.
         answer = await asyncio.to_thread(_change, cell, body)
     except InputError as error:
         raise Problem("invalid-request", str(error), simulated=True) from None
@@ -342,21 +326,9 @@ async def change_simulation(
     return answer
 
 
-def _refuse_files(patch: Any) -> None:
-    """InputError where a body names a file of this machine: only the config's author may."""
-    if isinstance(patch, dict):
-        if patch.get("eds") is not None:
-            raise InputError("patch: eds names a file of the service's machine; only the cell's config may")
-        for value in patch.values():
-            _refuse_files(value)
-
-
 def _change(cell: Cell, body: SimulationPatch) -> SimulationView:
     if body.reset:
         cell.set_simulation(None)
     if body.payload is not None:
         cell.set_simulation(cell.with_payload(body.payload.axis, body.payload.mass))
-    if body.patch is not None:
-        _refuse_files(body.patch)
-        cell.set_simulation(merged(cell.simulation, body.patch))
-    return _simulation(cell)
+    return SimulationView(cell=cell.id, simulation=cell.simulation)

@@ -41,7 +41,7 @@ class AcceptedModel(BaseModel):
     accepted: datetime
     by: str
     how: str
-    """accept, auto or restore."""
+    """accept or restore; of an earlier release also auto."""
 
 
 class LastRun(BaseModel):
@@ -154,7 +154,7 @@ class Payload(BaseModel):
 
 
 class SimulationPatch(BaseModel):
-    """A change of the simulated cell: another tool, or anything by JSON merge patch."""
+    """A change of the simulated cell: another tool."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -164,14 +164,11 @@ class SimulationPatch(BaseModel):
     reset: bool = False
     """First go back to what the config says."""
     payload: Payload | None = None
-    patch: dict[str, Any] | None = None
-    """Merged into the section ``simulation`` of the config (RFC 7396)."""
 
 
 class SimulationView(BaseModel):
-    """The simulated cell as it is now, and the truth an identification should find."""
+    """The simulated cell as it is now."""
 
     cell: str
     simulated: Literal[True] = True
     simulation: dict[str, Any]
-    truth: dict[str, Any]

@@ -20,16 +20,14 @@ from invid.recording import Recording, read_recording
 from invid.recording.still_axes import moving_part
 from invid.report import render_report
 from invid.report.data import figure_data
-from invid.simulators.open import masses_of
 from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import Verdict, verify
-from invid.wording.sentence import joined, mapped
+from invid.wording.sentence import joined
 from invid_drivers.protocol import Line, Read
 from invid_service.jobs.progress import AnalysisProgress
-from invid_service.jobs.protocol import Job, without_folder
+from invid_service.jobs.protocol import Job
 from invid_service.precedence import behind_parent
-from invid_service.store.blobs import KINDS
 
 _DIGITS = 5
 """Significant ones of the numbers of pictures; a screen shows four."""
@@ -129,27 +127,11 @@ def _diagnose_anew(
     """
     tell.begin("identifying")
     budget = 0.3 * job.budget_s
-    simulator = None if job.simulator is None else job.folder / job.simulator
-    masses = None if simulator is None else masses_of(simulator, recording.axes)
-    model = identify(recording, masses=masses, budget=budget, progress=tell.weigh)
+    model = identify(recording, budget=budget, progress=tell.weigh)
     save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
     tell.begin("diagnosing")
-    diagnosis = diagnose(
-        recording, model=model, budget=job.budget_s - budget, progress=tell.weigh, against=simulator,
-        corrected=None if simulator is None else job.folder / f"corrected{simulator.suffix}",
-    )  # fmt: skip
-    if simulator is not None:
-        diagnosis = _with_copy(diagnosis, job, simulator.suffix)
+    diagnosis = diagnose(recording, model=model, budget=job.budget_s - budget, progress=tell.weigh)
     return with_stated_inertia(diagnosis, recording, accepted), against_stated(model, recording, accepted)
-
-
-def _with_copy(diagnosis: Diagnosis, job: Job, suffix: str) -> Diagnosis:
-    """Name the corrected copy as the store does; where files lie here is nobody's business."""
-    said = mapped(diagnosis.against, lambda v: without_folder(v, job.folder) if isinstance(v, str) else v)
-    copy = job.folder / f"corrected{suffix}"
-    if copy.is_file():
-        copy.replace(job.folder / KINDS["corrected"][0])
-    return replace(diagnosis, against=said)
 
 
 def separating(diagnosis: Diagnosis, job: Job) -> dict[str, Any] | None:

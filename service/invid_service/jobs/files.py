@@ -71,8 +71,6 @@ async def artefact(service: Service, run: FoundRun, kind: str, request: Request)
             "img-src data:; font-src data:"
         )
         return FileResponse(path, media_type=media, headers=headers)
-    if kind == "corrected":  # the format is the simulator's
-        name += Path(run.record.facts.get("simulator", "")).suffix
     return FileResponse(path, media_type=media, headers=headers, filename=f"{run.record.id}-{name}")
 
 
@@ -95,12 +93,6 @@ for _kind, _operation, _text in (
     ("diagnosis", "get_diagnosis", "Return what the simulation gets wrong."),
     ("report", "get_report", "Return the report, one self-contained HTML file."),
     ("plots", "get_plots", "Return the numbers behind the page's pictures."),
-    (
-        "corrected",
-        "get_corrected_simulator",
-        "Return the corrected copy of the simulator that was uploaded beside the recording, in its format; "
-        "none where it is right or cannot be corrected (`against` of the diagnosis says so).",
-    ),
     ("tuning-page", "get_tuning_page", "Return the page of the tuning, one self-contained HTML file."),
     (
         "tuning-picture",

@@ -74,10 +74,6 @@ class Decision:
         return told
 
 
-AUTO = Decision(accept=True, by="auto", caller="auto")
-"""Within the bounds of the settings, by the service itself."""
-
-
 def _results_of(job: Job) -> set[str]:
     """The kinds of files without which a job has not come to its end."""
     if job.mode == "verify":
@@ -218,9 +214,8 @@ class JobManager:
                 raise WrongStateError(str(run.record.state))
             now = self._clock()
             if decision.accept and run.record.cell is not None:
-                how = "auto" if decision is AUTO else "accept"
                 await asyncio.to_thread(
-                    self._store.approve, run.record.cell, run.record.id, by=decision.by, how=how, now=now
+                    self._store.approve, run.record.cell, run.record.id, by=decision.by, how="accept", now=now
                 )
             state = State.SUCCEEDED if decision.accept else State.CANCELLED
             event = run.set(state, now, {"decision": decision.facts(now)})
@@ -409,10 +404,6 @@ class JobManager:
         else:
             end = await self._success(run, job, verdict.result)
         await self._move(run, *end)
-        state, facts = end
-        may_be_auto = state is State.AWAITING_ACCEPT and job.mode != "test"
-        if may_be_auto and self._results.may_auto_accept(facts["summary"]):
-            await self.decide(run, AUTO)
 
     async def _success(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> Moved:
         if run.record.cell is None or not job.acceptable or job.mode == "verify":

@@ -53,8 +53,6 @@ class Job:
     plan of ``mode`` "screen"."""
     tuning: dict[str, Any] | None = None
     """The tuning whose loops ``mode`` "verify" measures."""
-    simulator: str | None = None
-    """Name of the file in ``folder`` that the recording is judged against."""
     memory_bytes: int
     stop_grace_s: float
     budget_s: float = 1500.0

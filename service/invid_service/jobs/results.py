@@ -182,30 +182,6 @@ class Results:
         if blob is not None:
             self._store.add_artefacts(run.id, {"diagnosis": blob}, now)
 
-    def may_auto_accept(self, summary: dict[str, Any]) -> bool:
-        """True where the configured bounds allow acceptance without a person.
-
-        The first model of a cell has nothing to be within bounds of: a person looks at it.
-        """
-        bounds, changes = self._settings.auto_accept, summary.get("changes")
-        if bounds is None or changes is None or summary.get("verdict") not in bounds.verdicts:
-            return False
-        if summary.get("answer") not in (None, Agreement.AS_SAID, Agreement.SIZE_OPEN):
-            return False
-        if changes["structure"]:  # another number of masses
-            return False
-        if any(c["from"] is None or c["to"] is None for c in changes["causes"]):  # one that came or went
-            return False
-        if any(c["status"] in ("grew", "shrank") for c in changes["causes"]):
-            return False
-        for p in changes["parameters"]:
-            old, difference, std = p["from"]["value"], p["difference"], p["difference_std"]
-            if not old or difference is None or std is None:
-                return False
-            if 100.0 * (abs(difference) + 2.0 * std) / abs(old) > bounds.max_change_percent:
-                return False
-        return True
-
 
 def _answer(run: RunRecord, found: Comparison | None, doubts: Sequence[Doubt]) -> Answer | None:
     """Return the answer to whoever said at the start what was changed."""

@@ -198,7 +198,7 @@ def view(
     stopped = record.facts.get("stopped")
     if stopped is not None and not trace:
         stopped = {**stopped, "trace": EMPTY}
-    names = ["events", "recording", "model", "diagnosis", "report", "plots", "corrected", "analysis", *PARTS]
+    names = ["events", "recording", "model", "diagnosis", "report", "plots", "analysis", *PARTS]
     names += (*TUNING_KINDS, "verification", "verification-picture")
     measurement = record.facts.get("measurement")
     summary = record.facts.get("summary")

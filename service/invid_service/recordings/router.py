@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,7 +25,6 @@ from invid_service.jobs.states import OCCUPYING, UPLOAD
 from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, Problem, problem_responses, storing
 from invid_service.recordings.claims import check_claims
-from invid_service.recordings.simulator import LARGEST, checked_simulator
 from invid_service.service import Service
 from invid_service.store.store import RunRecord
 
@@ -45,7 +44,6 @@ _BODY: dict[str, Any] = {
                     "properties": {
                         "file": {"type": "string", "format": "binary"},
                         "cell": {"type": "string"},
-                        "simulator": {"type": "string", "format": "binary"},
                     },
                 }
             },
@@ -72,10 +70,6 @@ async def upload_recording(
 
     ``cell``, in the query or as a field of the form: the result belongs to the history of that cell, whose
     axes it must have. It is no measurement of it, so it blocks no run and is never in force.
-
-    ``simulator``, a field of the form: a MuJoCo XML, a URDF or an ``invid-model``, run by its own engine on
-    the records kept out. The diagnosis then has ``against``; the corrected copy is at the link ``corrected``.
-    It is one file that reads no other; an FMU is native code and is refused.
     """
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if media not in (*_RAW, "multipart/form-data"):
@@ -88,18 +82,12 @@ async def upload_recording(
     _require_room(service, int(request.headers.get("content-length") or 0))
     record = service.new_run(None, UPLOAD, [], caller.name)
     with service.blobs.filling(record.id) as folder:
-        target, given = folder / "recording.h5", _Form(cell=cell)
+        target = folder / "recording.h5"
         if media in _RAW:
             await _receive_raw(request, target)
         else:
-            given = await _receive_form(request, target, cell)
-        if given.simulator is not None:
-            suffix, text = await asyncio.to_thread(checked_simulator, given.simulator)
-            path = folder / f"simulator{suffix}"
-            with storing("the simulator", path):
-                await asyncio.to_thread(path.write_bytes, text)
-            record = replace(record, facts={"simulator": path.name})
-        owner = None if given.cell is None else service.cell(given.cell)
+            cell = await _receive_form(request, target, cell)
+        owner = None if cell is None else service.cell(cell)
         await check_claims(target, largest=service.settings.max_unpacked_bytes)
         if owner is not None:
             record = replace(record, cell=owner.id, robot=owner.config.robot)
@@ -176,20 +164,12 @@ def _require_hdf5(first: bytes, signature: bytes) -> None:
         raise Problem("invalid-recording", text)
 
 
-@dataclass(frozen=True)
-class _Form:
-    """What a form has beside the recording."""
-
-    cell: str | None
-    simulator: bytes | None = None
-
-
-async def _receive_form(request: Request, target: Path, cell: str | None) -> _Form:
-    """Write the file of a form; return the cell that form or query (``cell``) names, and the simulator."""
+async def _receive_form(request: Request, target: Path, cell: str | None) -> str | None:
+    """Write the file of a form; return the cell that form or query (``cell``) names."""
     # Files are spooled to disk beyond a megabyte: memory does not grow with the upload.
     try:
         with _whole():
-            form = await request.form(max_files=2, max_fields=4, max_part_size=4096)
+            form = await request.form(max_files=1, max_fields=4, max_part_size=4096)
     except HTTPException as error:
         if error.status_code == 400:
             raise Problem("invalid-request", f"the form cannot be read: {error.detail}") from None
@@ -200,19 +180,17 @@ async def _receive_form(request: Request, target: Path, cell: str | None) -> _Fo
         await form.close()
 
 
-async def _read_form(form: FormData, target: Path, cell: str | None) -> _Form:
-    file, named, simulator = form.get("file"), form.get("cell") or cell, form.get("simulator")
+async def _read_form(form: FormData, target: Path, cell: str | None) -> str | None:
+    file, named = form.get("file"), form.get("cell") or cell
     if not isinstance(file, UploadFile):
         raise Problem("invalid-request", "the form has no file in the field 'file'")
     _require_hdf5(await file.read(len(SIGNATURE)), SIGNATURE)
     if not isinstance(named, str | None) or cell not in (None, named):
         raise Problem("invalid-request", f"cell: the query says {cell!r}, the form {str(named)[:64]!r}")
-    if not isinstance(simulator, UploadFile | None):
-        raise Problem("invalid-request", "simulator: send the file itself, as the recording in 'file'")
     await file.seek(0)
     with storing("the upload", target), target.open("wb") as out:
         await asyncio.to_thread(shutil.copyfileobj, file.file, out, 1024 * 1024)
-    return _Form(named, None if simulator is None else await simulator.read(LARGEST + 1))
+    return named
 
 
 async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell | None) -> None:
@@ -227,7 +205,6 @@ async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell |
         config=None if cell is None else cell.config.model_dump(mode="json"),
         acceptable=False,
         model=None if accepted is None else parse_json(accepted.document),
-        simulator=record.facts.get("simulator"),
         memory_bytes=service.settings.worker_memory_bytes,
         stop_grace_s=service.settings.stop_grace_s,
         budget_s=service.settings.analysis_budget_s,

@@ -18,7 +18,6 @@ KINDS: dict[str, tuple[str, str]] = {
     "diagnosis": ("diagnosis.json", "application/json"),
     "report": ("report.html", "text/html; charset=utf-8"),
     "plots": ("plots.json", "application/json"),
-    "corrected": ("corrected", "application/octet-stream"),
     "tuning": ("tuning.json", "application/json"),
     "tuning-page": ("tuning.html", "text/html; charset=utf-8"),
     "tuning-picture": ("tuning.svg", "image/svg+xml"),

@@ -320,24 +320,6 @@ def test_accepted_models_form_a_history_and_can_be_restored(tmp_path: Path) -> N
         assert client.get("/api/v1/cells/cell/model").json()["id"] == old
 
 
-@pytest.mark.parametrize(
-    ("scale", "state"),
-    [pytest.param(1.001, "succeeded", marks=pytest.mark.campaign), (1.2, "awaiting_accept")],
-)
-def test_results_within_the_stated_bounds_are_accepted_automatically(
-    tmp_path: Path, scale: float, state: str
-) -> None:
-    director = Director()
-    bounds = {"max_change_percent": 5.0}
-    with running(tmp_path, director, auto_accept=bounds) as (client, _):
-        accepted(client)
-        director.model = lambda: model_document(scale_mass=scale)
-        second = start(client)
-        wait_for(client, second, state)
-        time.sleep(0.2)  # where it was not accepted it is not accepted later either
-        assert client.get(second).json()["state"] == state
-
-
 @pytest.mark.campaign
 def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):

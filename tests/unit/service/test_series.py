@@ -51,16 +51,6 @@ def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Pa
 
 
 @pytest.mark.campaign
-def test_a_cause_that_came_is_never_accepted_without_a_person(tmp_path: Path) -> None:
-    director = Director()
-    bounds = {"max_change_percent": 50.0, "verdicts": ["consistent"]}
-    with running(tmp_path, director, auto_accept=bounds) as (client, _):
-        accept(client, director, document(None))
-        director.model = lambda: document(3e-4)
-        assert wait_for(client, start(client), "awaiting_accept")["state"] == "awaiting_accept"
-
-
-@pytest.mark.campaign
 def test_the_history_of_a_parameter_and_of_a_cause_is_a_series_in_json_and_csv(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
         for gap in (None, 3e-4, 5e-4):

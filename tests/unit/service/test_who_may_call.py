@@ -123,16 +123,6 @@ def test_a_service_without_keys_knows_no_name_but_those_of_this_machine(tmp_path
             assert client.get("/api/v1/cells", headers={"Host": host}).status_code == 200
 
 
-def test_a_body_names_no_file_of_the_services_machine(tmp_path: Path) -> None:
-    (tmp_path / "secret").write_text("[a line that is nobody's business]")
-    with running(tmp_path) as (client, _):
-        for path in (str(tmp_path / "secret"), "/dev/zero"):
-            patch = {"axes": {"A1": {"objects": {"eds": path}}}}
-            answer = client.patch("/api/v1/cells/cell/simulation", json={"patch": patch})
-            assert answer.status_code == 422
-            assert "nobody's business" not in answer.text
-
-
 def test_a_web_site_in_the_technicians_browser_cannot_move_the_robot(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
         body = {"mode": "full", "arm": True}

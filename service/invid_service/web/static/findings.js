@@ -63,11 +63,6 @@ export function showFindings(run, diagnosis, model) {
   }
   const lost = diagnosis?.unexplained;
   if (lost) groups.push(el("h3", {}, [gradeBadge("none"), ` ${t("finding.no_name", { axis: lost.axis })}`]), spoken("p", lost.sentence));
-  const against = diagnosis?.against;
-  if (against) {
-    groups.push(el("h3", {}, t("result.against")), el("ul", { id: "against", class: "reasons" }, against.sentences.map((line) => spoken("li", line))));
-    if (against.corrected) groups.push(el("p", { class: "links" }, [el("a", { id: "corrected", href: run.links.corrected, "data-download": `${run.id}-${against.corrected}` }, t("file.corrected"))]));
-  }
   const sentences = run.summary.sentences ?? [];
   if (sentences.length) {
     groups.push(el("details", { id: "sentences-box" }, [el("summary", {}, t("result.details")),

@@ -271,10 +271,8 @@ $("upload-form").addEventListener("submit", async (event) => {
   note.className = "";
   note.textContent = t("upload.going", { name: file.name, size: fmt(file.size / 1e6, 2) });
   const of = $("upload-cell").checked ? `?cell=${encodeURIComponent(state.cell)}` : "";
-  const simulator = $("simulator").files[0], form = new FormData();
-  for (const [name, part] of Object.entries({ file, simulator })) if (part) form.set(name, part);
   try {
-    const sent = simulator ? call("POST", `/recordings${of}`, form) : call("POST", `/recordings${of}`, file, { "Content-Type": "application/x-hdf5" });
+    const sent = call("POST", `/recordings${of}`, file, { "Content-Type": "application/x-hdf5" });
     const run = await (await sent).json();
     note.textContent = t("upload.done");
     opens(run);
