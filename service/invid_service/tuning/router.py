@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from fastapi import APIRouter, Body, Request, Response
+from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from invid.tuning.motor_scale import MotorScale
@@ -21,9 +21,10 @@ router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
 
 
 class TuningBody(BaseModel):
-    """How to tune."""
+    """Which model to tune on, and how."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model: str = Field(max_length=40, pattern=r"^[A-Za-z0-9-]+$", description="A run, or a model of a cell")
     cycle_s: float = Field(default=0.001, gt=0, le=0.1, description="Cycle of the drives' loops")
     notches: int = Field(default=2, ge=0, le=8, description="Notch filters, at most, of each axis")
     draws: int = Field(
@@ -39,50 +40,11 @@ class TuningBody(BaseModel):
     )
 
 
-class ModelTuningBody(TuningBody):
-    """Which model to tune on, and how."""
-
-    model: str = Field(max_length=40, pattern=r"^[A-Za-z0-9-]+$", description="A run, or a model of a cell")
-
-
 class TuningState(BaseModel):
     """A tuning that goes on."""
 
     state: Literal["running"] = "running"
     simulated: bool
-
-
-@router.post(
-    "/identifications/{identification}/tuning",
-    status_code=202,
-    response_model=TuningState,
-    responses={**ACCEPTED, **problem_responses(409, 410)},
-)
-async def start_tuning(
-    response: Response,
-    service: Context,
-    caller: Runner,
-    run: RunInPath,
-    body: Annotated[TuningBody | None, Body()] = None,
-) -> TuningState:
-    """Work out gains, notch filters, feedforward and shapers from the model of this run, with the margins
-    they leave over its covariance. It takes seconds; follow ``Location``. Nothing is written to a drive.
-    """
-    wanted, record = body or TuningBody(), run.record
-    blobs = await asyncio.to_thread(service.store.artefacts, record.id)
-    found = [b for k in ("diagnosis", "model") if (b := blobs.get(k)) is not None]
-    if blobs.get("model") is None:
-        raise run.problem("wrong-state", " and has no model to tune on")
-    task = TuningTask(
-        **wanted.model_dump(include={"cycle_s", "notches", "draws", "drive"}),
-        folder=service.blobs.work,
-        source=service.blobs.path(found[0].path),
-        simulated=record.simulated,
-        motors=wanted.motors,
-    )
-    service.tunings.start(record.id, task)
-    response.headers.update(following(record.id, "tuning"))
-    return TuningState(simulated=record.simulated)
 
 
 @router.post(
@@ -92,11 +54,28 @@ async def start_tuning(
     responses={**ACCEPTED, **problem_responses(409, 410)},
 )
 async def tune_model(
-    body: ModelTuningBody, request: Request, response: Response, service: Context, caller: Runner
+    body: TuningBody, request: Request, response: Response, service: Context, _caller: Runner
 ) -> TuningState:
-    """Work out values for the drives from a model, which has the id of its run."""
+    """Work out gains, notch filters, feedforward and shapers from a model, which has the id of its run, with
+    the margins they leave over its covariance. It takes seconds; follow ``Location``. Nothing is written to a
+    drive.
+    """
     run = await find_run(body.model, request, service)
-    return await start_tuning(response, service, caller, run, body)
+    record = run.record
+    blobs = await asyncio.to_thread(service.store.artefacts, record.id)
+    found = [b for k in ("diagnosis", "model") if (b := blobs.get(k)) is not None]
+    if blobs.get("model") is None:
+        raise run.problem("wrong-state", " and has no model to tune on")
+    task = TuningTask(
+        **body.model_dump(include={"cycle_s", "notches", "draws", "drive"}),
+        folder=service.blobs.work,
+        source=service.blobs.path(found[0].path),
+        simulated=record.simulated,
+        motors=body.motors,
+    )
+    service.tunings.start(record.id, task)
+    response.headers.update(following(record.id, "tuning"))
+    return TuningState(simulated=record.simulated)
 
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {
@@ -117,9 +96,3 @@ async def get_tuning(request: Request, service: Context, _caller: Reader, run: R
     if why is not None:
         raise Problem("not-tunable", why, simulated=record.simulated)
     return await artefact(service, run, "tuning", request)
-
-
-@router.get("/models/tune/{model}", response_class=Response, responses=_ANSWERS)
-async def get_model_tuning(model: str, request: Request, service: Context, caller: Reader) -> Response:
-    """Return what was worked out for this model."""
-    return await get_tuning(request, service, caller, await find_run(model, request, service))

@@ -90,15 +90,9 @@ def recording() -> bytes:
     return file.getvalue()
 
 
-@pytest.mark.parametrize("how", ["query", "form"])
-def test_an_upload_joins_the_history_of_a_cell_and_measures_nothing(tmp_path: Path, how: str) -> None:
+def test_an_upload_joins_the_history_of_a_cell_and_measures_nothing(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
-        if how == "query":
-            answer = client.post("/api/v1/recordings?cell=cell", content=recording(), headers=HDF5)
-        else:
-            answer = client.post(
-                "/api/v1/recordings", data={"cell": "cell"}, files={"file": ("r.h5", recording())}
-            )
+        answer = client.post("/api/v1/recordings?cell=cell", content=recording(), headers=HDF5)
         assert answer.status_code == 202, answer.text
         location = answer.headers["Location"]
         body = wait_for(client, location, "succeeded")

@@ -58,14 +58,13 @@ def test_a_finished_run_is_tuned_and_its_files_are_kept(tmp_path: Path) -> None:
     with running(tmp_path, director_of_one_axis()) as (client, _):
         location = finished(client)
         assert client.get(f"{location}/tuning").status_code == 404
-        begun = client.post(
-            f"{location}/tuning",
-            json={"draws": 50, "drive": "beckhoff_ax8000", "motors": {"A1": {"gear": 80}}},
-        )
+        wanted = {"model": location.rsplit("/", 1)[-1], "draws": 50}
+        more = {"drive": "beckhoff_ax8000", "motors": {"A1": {"gear": 80}}}
+        begun = client.post("/api/v1/models/tune", json={**wanted, **more})
         assert begun.status_code == 202
         assert begun.headers["Location"] == f"{location}/tuning"
         # asked again while it goes on, it is the same one
-        assert client.post(f"{location}/tuning", json={"draws": 50}).status_code == 202
+        assert client.post("/api/v1/models/tune", json=wanted).status_code == 202
         document = tuned(client, location).json()
         assert document["simulated"] is True
         assert document["axes"][0]["after"]["margins"]["sensitivity"] <= 2.0
@@ -80,17 +79,6 @@ def test_a_finished_run_is_tuned_and_its_files_are_kept(tmp_path: Path) -> None:
             "tuning-picture",
             "tuning-files",
         }
-
-
-@pytest.mark.campaign
-def test_a_model_is_tuned_by_its_id(tmp_path: Path) -> None:
-    with running(tmp_path, director_of_one_axis()) as (client, _):
-        location = finished(client)
-        model = location.rsplit("/", 1)[-1]
-        begun = client.post("/api/v1/models/tune", json={"model": model, "draws": 50})
-        assert begun.status_code == 202, begun.text
-        document = tuned(client, location).json()
-        assert client.get(f"/api/v1/models/tune/{model}").json() == document
 
 
 @pytest.mark.campaign

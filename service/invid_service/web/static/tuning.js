@@ -29,7 +29,7 @@ function offered() {
 $("tune").addEventListener("click", async () => {
   const run = of;
   going();
-  try { await call("POST", run.links.tuning, {}); } catch (error) { if (of === run) failed(error); return; }
+  try { await call("POST", "/models/tune", { model: run.id }); } catch (error) { if (of === run) failed(error); return; }
   setTimeout(look, AGAIN_MS);
 });
 
