@@ -2,7 +2,7 @@
 
 Recordings, models and diagnoses go in as they are and stay as they are; what comes out is immutable and can
 be pickled. Errors are ``invid.InvidError`` and its kinds; an argument of the wrong kind is an
-``InputError``. Each function loads what it needs when called.
+``InputError``. Each function loads what takes long to load when it is called.
 """
 
 from __future__ import annotations
@@ -15,18 +15,26 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from invid import arguments
+from invid.effects.registry import registered_effects
+from invid.errors import InputError, NotIdentifiableError
+from invid.model import diagnosis_document
+from invid.model.document import load_json
+from invid.numerics.budget import Budget, Progress, use_budget
+from invid.numerics.immutable import immutable
+from invid.numerics.run_clock import RunClock
+from invid.recording import hdf5
+from invid.recording.concatenation import concatenate_recordings
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from invid.comparison.answers import Screening
     from invid.comparison.changes import Comparison
     from invid.effects.effect import Effect
     from invid.exchange.export import Export
     from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import Model
-    from invid.numerics.budget import Progress
     from invid.recording.import_map import ImportMap
     from invid.recording.model import Recording
     from invid.simulators.guided import Simulator
@@ -53,17 +61,12 @@ def read_recording(path: str | Path) -> Recording:
     RecordingError
         No file, no recording, or one that breaks its format: says the experiment and the entry.
     """
-    from invid.numerics.immutable import immutable
-    from invid.recording.hdf5 import read_recording as read
-
-    return immutable(read(arguments.a_path(path, "path")))
+    return immutable(hdf5.read_recording(arguments.a_path(path, "path")))
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
     """Write an ``invid-recording`` file (HDF5); RecordingError where that cannot be."""
-    from invid.recording.hdf5 import write_recording as write
-
-    write(arguments.a_recording(recording), arguments.a_path(path, "path"))
+    hdf5.write_recording(arguments.a_recording(recording), arguments.a_path(path, "path"))
 
 
 def import_recording(
@@ -94,7 +97,6 @@ def import_recording(
     InputError
         A file or map that cannot be used, or columns that nobody can tell without a map.
     """
-    from invid.numerics.immutable import immutable
     from invid.recording.import_map import ImportMap, load_map
     from invid.recording.import_source import import_source
 
@@ -153,7 +155,6 @@ def identify(
         Data from which no such model can be drawn.
     """
     from invid.identification.identify import identify as identified
-    from invid.numerics.immutable import immutable
 
     one = _one(recording)
     arguments.one_of(method, "method", ("refined", "paper"))
@@ -211,8 +212,6 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
     from invid.comparison.answers import with_changes, with_stated_inertia
     from invid.comparison.compare import compare as compared
     from invid.diagnosis.diagnose import diagnose as diagnosed
-    from invid.errors import InputError
-    from invid.numerics.immutable import immutable
 
     one = _one(recording)
     if model is not None and masses is not None:
@@ -257,7 +256,6 @@ def screen(
     """
     from invid.comparison.answers import Screening, judge_screening, require_screenable, with_its_causes
     from invid.comparison.compare import compare as compared
-    from invid.errors import NotIdentifiableError
 
     one, start = _one(recording), arguments.a_model(model)
     require_screenable(start, one.axes)
@@ -297,7 +295,6 @@ def simulate(
     InputError, ModelError
         Axes that do not match; an effect that cannot be simulated; motion that diverges.
     """
-    from invid.numerics.immutable import immutable
     from invid.simulation.run import simulate as simulated
 
     arguments.a_generator(rng)
@@ -336,7 +333,6 @@ def compare(
         Models of robots that have nothing in common.
     """
     from invid.comparison.compare import compare as compared
-    from invid.numerics.immutable import immutable
 
     for name, value in (("tolerance", tolerance), ("alpha", alpha), ("repeatability", repeatability)):
         arguments.a_number(value, name, "give a number")
@@ -412,9 +408,6 @@ def tune(
     NotIdentifiableError
         The model is not to be trusted, too unsure for any gains, or leaves open what the loops would feel.
     """
-    from invid.errors import InputError
-    from invid.model.document import load_json
-    from invid.numerics.immutable import immutable
     from invid.tuning.axis_loop import loops_from_json
     from invid.tuning.servo_loop import DriveTiming
     from invid.tuning.tune import TuneSettings, tune_model
@@ -453,28 +446,17 @@ def load_model(path: str | Path) -> Model:
 
     InputError or ModelError says what is wrong with it.
     """
-    from invid.model.diagnosis_document import load_model as load
-    from invid.numerics.immutable import immutable
-
-    return immutable(load(arguments.a_path(path, "path")))
+    return immutable(diagnosis_document.load_model(arguments.a_path(path, "path")))
 
 
 def load_diagnosis(path: str | Path) -> Diagnosis:
     """The diagnosis in an ``invid-diagnosis`` file (JSON); InputError says what is wrong with it."""
-    from invid.model.diagnosis_document import load_diagnosis as load
-    from invid.numerics.immutable import immutable
-
-    return immutable(load(arguments.a_path(path, "path")))
+    return immutable(diagnosis_document.load_diagnosis(arguments.a_path(path, "path")))
 
 
 @contextmanager
 def _limits(seconds: float | None, report: Callable[[Progress], None] | None) -> Iterator[None]:
     """Budget and progress of one call. Trial steps of a search may overflow: that is judged, not printed."""
-    import numpy as np
-
-    from invid.numerics.budget import Budget, use_budget
-    from invid.numerics.run_clock import RunClock
-
     if seconds is not None:
         arguments.a_number(seconds, "budget", "give a number of seconds above 0", above=0.0)
     arguments.a_function(report, "progress")
@@ -488,7 +470,6 @@ def _simulator(
     against: str | Path | None, corrected: str | Path | None, axes: tuple[str, ...]
 ) -> tuple[Simulator | None, Path | None]:
     """The simulator in a file, and where its corrected copy goes."""
-    from invid.errors import InputError
 
     if against is None:
         if corrected is not None:
@@ -501,13 +482,9 @@ def _simulator(
 
 
 def _using(effects: Effects) -> AbstractContextManager[None]:
-    from invid.effects.registry import registered_effects
-
     return registered_effects(arguments.effect_list(effects))
 
 
 def _one(recording: Recording | Sequence[Recording]) -> Recording:
     """One recording of all that are given."""
-    from invid.recording.concatenation import concatenate_recordings
-
     return concatenate_recordings(arguments.recordings(recording))

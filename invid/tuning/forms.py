@@ -5,7 +5,6 @@ Forms of drives come from above the core by the entry point group ``invid.drive_
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -40,26 +39,7 @@ class DriveForm(Protocol):
     def __call__(self, tuning: Tuning, motors: dict[str, MotorScale]) -> Form: ...
 
 
-def klipper_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
-    """Klipper's ``[input_shaper]``: klipper3d.org, Configuration reference, section [input_shaper]."""
-    lines, lost = ["[input_shaper]"], []
-    for a, letter in zip(tuning.axes, "xyz", strict=False):
-        if a.after.shaper is None:
-            lost.append(f"{a.axis} needs no shaper")
-            continue
-        s = a.after.shaper
-        lines += [
-            f"# {a.axis}: {s.residual:.1%} of the vibration stays in the worst draw",
-            f"shaper_type_{letter}: {s.kind}",
-            f"shaper_freq_{letter}: {s.frequency:.3f}",
-            f"damping_ratio_{letter}: {s.damping:.4f}",
-        ]
-    lost += [f"{a.axis}: Klipper shapes x, y and z alone" for a in tuning.axes[3:]]
-    lost.append("Klipper drives steppers: gains, notch filters and feedforward have no place in it")
-    return Form({"klipper.cfg": "\n".join(lines) + "\n"}, tuple(lost))
-
-
-def ros2_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+def ros2_form(tuning: Tuning) -> Form:
     """Gains of ``joint_trajectory_controller`` on an effort interface, u = k_ff v_d + k_p e + k_i ∫e + k_d
     (v_d − v) (control.ros.org, ros2_controllers, Details about parameters)."""
     gains = {}
@@ -76,16 +56,8 @@ def ros2_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
         "controller_manager": {"ros__parameters": {"update_rate": round(1.0 / tuning.settings.timing.cycle)}},
         "joint_trajectory_controller": {"ros__parameters": parameters},
     }
-    lost = ["joint_trajectory_controller has no inertia or dry friction feedforward, notch filter or shaper"]
-    return Form(
-        {"ros2_control.yaml": yaml.safe_dump(document, sort_keys=False, allow_unicode=True)}, tuple(lost)
-    )
-
-
-FORMS: dict[str, Callable[[Tuning, dict[str, MotorScale]], Form]] = {
-    "klipper": klipper_form,
-    "ros2_control": ros2_form,
-}
+    lost = "joint_trajectory_controller has no inertia or dry friction feedforward, notch filter or shaper"
+    return Form({"ros2_control.yaml": yaml.safe_dump(document, sort_keys=False, allow_unicode=True)}, (lost,))
 
 
 def drive_names() -> list[str]:
@@ -130,8 +102,9 @@ def write_tuning(
     strange = set(known) - set(tuning.model.axes)
     if strange:
         raise InputError(f"motors: {sorted(strange)[0]!r} is no axis; the axes are {list(tuning.model.axes)}")
-    forms = {**FORMS, **({} if drive is None else {drive: drive_form(drive)})}
-    made = {name: form(tuning, known) for name, form in forms.items()}
+    made = {"ros2_control": ros2_form(tuning)}
+    if drive is not None:
+        made[drive] = drive_form(drive)(tuning, known)
     losses = {name: form.losses for name, form in made.items() if form.losses}
     files = {name: text for form in made.values() for name, text in form.files.items()}
     document = {**tuning_to_json(tuning), "losses": {k: list(v) for k, v in losses.items()}}

@@ -73,10 +73,8 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
         save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
         started = {"run": job.id, "started by": job.requested_by}
-        report = render_report(recording, model, diagnosis, run=started)
-        # A recording that says so is marked by the report itself.
-        told = bool(recording.attributes.get("simulated", False))
-        save_text(job.folder / "report.html", _marked(report, simulated and not told))
+        marked = replace(recording, attributes={**recording.attributes, **flag})
+        save_text(job.folder / "report.html", render_report(marked, model, diagnosis, run=started))
         save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
     said = [] if seen is None else seen["warnings"]
     return {
@@ -170,17 +168,6 @@ def summary_of(finding: Finding) -> dict[str, Any]:
         "sentence": finding.sentence,
         "consequence": None if means is None else asdict(means),
     }
-
-
-def _marked(report: str, simulated: bool) -> str:
-    """Return a report that says on its first line that its cell is simulated."""
-    if not simulated or "<body" not in report:
-        return report
-    head, _, rest = report.partition("<body")
-    tag, _, body = rest.partition(">")
-    style = "border:2px solid;padding:.5em;font-weight:bold"
-    banner = f'<p role="note" style="{style}">Simulated cell: no hardware</p>'
-    return f"{head}<body{tag}>{banner}{body}"
 
 
 def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:

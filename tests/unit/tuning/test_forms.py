@@ -59,9 +59,8 @@ def test_the_folder_has_it_all_and_says_what_forms_do_not_hold(tmp_path: Path):
         "tuning.html",
         "tuning.svg",
         "ros2_control.yaml",
-        "klipper.cfg",
     } <= set(written.files)
-    assert "klipper" in written.losses
+    assert "ros2_control" in written.losses
     document = json.loads((tmp_path / "tuned" / "tuning.json").read_text(encoding="utf-8"))
     assert document["losses"]["ros2_control"]
     with pytest.raises(InputError, match="B7"):
