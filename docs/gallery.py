@@ -18,7 +18,7 @@ import invid
 from invid.effects.effect import Effect
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Finding
-from invid.report.figures import figures
+from invid.report import data, figures
 
 SHOWN = {
     "coulomb_friction": 0, "viscous_friction": 0, "stribeck_friction": 1, "asymmetric_friction": 1,
@@ -45,7 +45,7 @@ def main() -> None:
         found = [f for f in diagnosis.findings if f.cause == cause]
         if not found:
             raise SystemExit(f"{cause}, seed {seed}: not named ({[f.cause for f in diagnosis.findings]})")
-        drawn = figures(recording, diagnosis.model, diagnosis)
+        drawn = figures.draw(data.figure_data(recording, diagnosis.model, diagnosis))
         name = f"cause-{diagnosis.findings.index(found[0]) + 1}"
         if name not in drawn:  # no law over one quantity: what is missing over frequency
             name = "missing-torque"

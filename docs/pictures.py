@@ -8,7 +8,7 @@ from pathlib import Path
 from invid.diagnosis.diagnose import diagnose
 from invid.model.document import load_model
 from invid.recording import read_recording
-from invid.report.figures import figures
+from invid.report import data, figures
 
 SHOWN = ("forces",)
 
@@ -18,7 +18,7 @@ def main(demo: Path, out: Path) -> None:
     recording = read_recording(demo / "recording.h5")
     model = load_model(demo / "model.json")
     out.mkdir(parents=True, exist_ok=True)
-    drawn = figures(recording, model, diagnose(recording, model=model))
+    drawn = figures.draw(data.figure_data(recording, model, diagnose(recording, model=model)))
     for name in SHOWN:
         svg = drawn[name]
         (out / f"{name}.svg").write_text(svg, encoding="utf-8")

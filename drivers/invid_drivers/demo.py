@@ -26,7 +26,7 @@ from invid.model.document import (
     units,
 )
 from invid.recording import read_recording
-from invid.report import render_report
+from invid.report.page import render_report
 from invid_drivers.cli.measure import ProgressLine
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.simulated import CASE_STUDY, truth

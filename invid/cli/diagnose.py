@@ -104,8 +104,8 @@ def register(app: typer.Typer) -> None:
                 f"diagnosis written to {output}; it holds the extended model: simulate, export, tune, compare"
             )
         if report is not None:
-            from invid.report import render_report
             from invid.report.data import linear_model_of
+            from invid.report.page import render_report
 
             _write(report, render_report(data, linear_model_of(diagnosis), diagnosis))
             note(f"report written to {report}")

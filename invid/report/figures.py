@@ -9,21 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from invid.model.diagnosis_document import Diagnosis
-from invid.model.document import Model
-from invid.recording.model import Recording
-from invid.report.data import figure_data
 from invid.report.labels import label
 from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, over_frequency, powers_of_ten, svg
 
 
-def figures(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> dict[str, str]:
-    """SVG by name: ``residual``, ``forces``, ``cause-1`` …, ``frf-1`` … (one an axis), ``missing-torque``."""
-    return draw(figure_data(recording, model, diagnosis))
-
-
 def draw(data: dict[str, Any]) -> dict[str, str]:
-    """Pictures of what ``figure_data`` returned."""
+    """SVG of what ``figure_data`` returned, by name: ``residual``, ``forces``, ``cause-1`` …, ``frf-1`` …
+    (one an axis), ``missing-torque``.
+    """
     out: dict[str, str] = {}
     if data["residual"]:
         out["residual"] = residual(data["residual"])

@@ -62,8 +62,6 @@ async def _cell_view(service: Service, cell: Cell) -> CellView:
     approvals = await asyncio.to_thread(service.store.approvals, cell.id)
     runs = await asyncio.to_thread(service.store.runs, cell=cell.id, limit=_LOOKED_AT, measured=True)
     runs = [run.record if (run := service.jobs.live(r.id)) is not None else r for r in runs]
-    occupied = service.jobs.occupying(cell.id)
-    ready = await service.readiness(cell, ignore=occupied)
     torque, position = ("N", "m") if config.linear else ("N·m", "rad")
     return CellView(
         id=cell.id,
@@ -91,7 +89,7 @@ async def _cell_view(service: Service, cell: Cell) -> CellView:
         ],
         model=_accepted(approvals[0]) if approvals else None,
         last_identification=view(runs[0], service.jobs.live(runs[0].id), trace=False) if runs else None,
-        overview=overview(runs, occupied, ready),
+        overview=overview(runs),
         links={
             name: address("cells", cell.id, name)
             for name in (

@@ -56,15 +56,9 @@ class LastRun(BaseModel):
 
 
 class Overview(BaseModel):
-    """One line of a plant's list of cells."""
+    """One line of a plant's list of cells; what a cell does now is at ``GET /state``."""
 
-    state: str
-    """Of the run in progress, or ``awaiting_accept``; else ``ready``, ``not_ready`` (see readiness), or
-    ``unknown`` while nobody has asked the drives."""
     last_run: LastRun | None
-    changed: Text | None
-    """What the last result says of changes against the model in force; ``null`` where nothing changed, or
-    nothing was there to compare with."""
     news: Text | None
     """The first of what changed; empty where nothing did, ``null`` without a comparison."""
 

@@ -17,11 +17,9 @@ from pydantic import BaseModel, Field
 
 from invid.wording.fields import Text
 from invid_drivers.protocol import RunProgress
-from invid_service.cells.readiness import Readiness
 from invid_service.cells.registry import Cell
 from invid_service.cells.schema import LastRun, Overview
 from invid_service.dependencies import CellInPath, Context, Reader
-from invid_service.jobs.live import LiveRun
 from invid_service.jobs.schema import polling_headers
 from invid_service.jobs.states import ENDED, IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER
@@ -147,21 +145,13 @@ def _now(service: Service, cell: Cell) -> dict[str, Any]:
     }
 
 
-def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Readiness) -> Overview:
+def overview(runs: Sequence[RunRecord]) -> Overview:
     """Return the line of a cell; ``runs`` are its measurements, the last started first."""
     done = [r for r in runs if r.state in ENDED or r.state is State.AWAITING_ACCEPT]
     last = done[0] if done else None
     changes = None if last is None else (last.facts.get("summary") or {}).get("changes")
-    busy = occupied_by.record if occupied_by is not None else last
-    ready_word = "ready" if ready.is_asked else "unknown"
-    state = ready_word if ready.can_start else "not_ready"
-    if busy is not None and busy.state in _GOING_ON:
-        state = str(busy.state)
     return Overview(
-        state=state,
-        last_run=None if last is None else _last_run(last),
-        changed=changes["sentence"] if changes and _has_news(changes) else None,
-        news=None if changes is None else _news(changes),
+        last_run=None if last is None else _last_run(last), news=None if changes is None else _news(changes)
     )
 
 
@@ -177,9 +167,7 @@ def _last_run(run: RunRecord) -> LastRun:
     )
 
 
-def _has_news(changes: dict[str, Any] | None) -> bool:
-    if changes is None:
-        return False
+def _has_news(changes: dict[str, Any]) -> bool:
     found = [*changes.get("parameters", []), *changes.get("causes", []), *changes.get("effects", [])]
     return any(entry.get("status") in _NEWS for entry in found) or bool(changes.get("structure"))
 

@@ -18,8 +18,8 @@ from invid.model.doubts import doubts_of
 from invid.planning.separating_experiments import to_separate
 from invid.recording import Recording, read_recording
 from invid.recording.still_axes import moving_part
-from invid.report import render_report
 from invid.report.data import figure_data
+from invid.report.page import render_report
 from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import Verdict, verify

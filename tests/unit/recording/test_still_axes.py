@@ -10,7 +10,7 @@ from hidden.generator import make
 
 import invid
 from invid.recording.still_axes import moving_part
-from invid.report import render_report
+from invid.report.page import render_report
 
 
 def beside_a_still_axis(torque: float = 0.0, count: float | None = None) -> invid.Recording:

@@ -16,9 +16,9 @@ from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Verdict
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
-from invid.report import figure_data, render_report
-from invid.report.data import linear_model_of
-from invid.report.figures import figures
+from invid.report import figures
+from invid.report.data import figure_data, linear_model_of
+from invid.report.page import render_report
 
 HOSTILE = ('A1"><script>alert(1)</script>', "$\\frac{x", "a\x00b & <b>")
 
@@ -122,7 +122,7 @@ def test_hostile_names_stay_text(friction: tuple[Recording, Truth]) -> None:
     diagnosis = named(hostile, model, "coulomb_friction", axes[1], "mass 1", torque=2.0)
     tags = parsed(render_report(hostile, model, diagnosis)).tags
     assert not [t for t, _ in tags if t in ("script", "img", "b")]
-    for picture in figures(hostile, model, diagnosis).values():
+    for picture in figures.draw(figure_data(hostile, model, diagnosis)).values():
         ElementTree.fromstring(picture)
         assert "<script" not in picture
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import CELL, Director, model_document, running, wait_for
+from service_doubles import CELL, Director, model_document, running, until, wait_for
 
 import invid
 from invid.cli.app import run
@@ -71,14 +71,14 @@ def test_a_cell_that_cannot_be_measured_is_ready_at_no_door(
     with running(tmp_path) as (client, director):
         before = client.get(f"{CELLS}/cell/readiness").json()
         assert [n["code"] for n in before["notes"]] == ["drives_not_asked"]
-        assert client.get(f"{CELLS}/cell").json()["overview"]["state"] == "unknown"
+        until(lambda: client.get("/api/v1/state").json()["cells"][0]["status"] == "unknown")
         checked = client.post(f"{CELLS}/cell/check").json()
         assert not checked["can_start"]
         after = client.get(f"{CELLS}/cell/readiness").json()
         assert after["reasons"] == checked["reasons"]
         assert after["reasons"][0]["code"] == "check_refused"
         assert after["reasons"][0]["seen"] is not None
-        assert client.get(f"{CELLS}/cell").json()["overview"]["state"] == "not_ready"
+        until(lambda: client.get("/api/v1/state").json()["cells"][0]["status"] == "not_ready")
         refused = client.post(f"{CELLS}/cell/identifications", json={"mode": "full", "arm": True})
         assert refused.status_code == 409
         assert [r["text"] for r in refused.json()["reasons"]] == [r["text"] for r in checked["reasons"]]

@@ -168,8 +168,11 @@ def test_what_the_check_would_refuse_is_not_ready_on_the_page_nor_for_a_start_an
     with running(tmp_path) as (client, director):
         found = client.get("/api/v1/cells/cell/readiness").json()
         assert found["can_start"] is ready
-        assert client.get("/api/v1/cells/cell").json()["overview"]["state"] == (
-            "ready" if ready else "not_ready"
+        until(
+            lambda: (
+                client.get("/api/v1/state").json()["cells"][0]["status"]
+                == ("ready" if ready else "not_ready")
+            )
         )
         if ready:
             assert client.post(START, json={"mode": "full"}).status_code == 202
