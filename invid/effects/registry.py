@@ -100,11 +100,6 @@ def law_of(term: EffectTerm) -> Effect | None:
     return None if effect is None else effect.known(term)
 
 
-def effects_of_plant(terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
-    """The effects of a model without those that sit in the samples of a recording."""
-    return tuple(t for t in terms if (e := effect_of(t.cause)) is None or not e.in_samples)
-
-
 class _Causes(Mapping[str, Effect]):
     """All effects that are known at present, by name."""
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from invid.effects import curve as laws
-from invid.effects.registry import effects_of_plant
 from invid.errors import InvidError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import EffectTerm, Model, model_from_json
 from invid.model.forward import frf, resonances
-from invid.numerics.arrays import Complex128, Float64
-from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.numerics.arrays import Complex128
+from invid.recording.model import Kind, Recording, Role
 from invid.report.missing import (
     Missing,
     Place,
@@ -29,14 +28,11 @@ from invid.report.missing import (
     sound,
 )
 from invid.signals.frf import frf_matrix
-from invid.simulation.run import simulate
 
 LEAST_FORCE, MOST_FORCES = 0.01, 12
 """Share of the strongest force from which a place is drawn, and how many at most."""
 POINTS = 500
 """Points in a scatter: enough for a shape, few enough for a picture of modest size."""
-SAMPLES = 2000
-"""Samples of a wave over time."""
 EDGE = 20
 """Part of a record without a period at either end of which nothing is drawn: its ends ring."""
 SIDES = (laws.VELOCITY, laws.POSITION, laws.DEFLECTION)
@@ -268,49 +264,7 @@ def _unit(recording: Recording, what: str) -> str:
     return of + "/s" * (what in (laws.VELOCITY, laws.DEFLECTION_RATE, laws.TORQUE_RATE))
 
 
-# --- over time ------------------------------------------------------------------------------------
 def linear_model_of(diagnosis: Diagnosis) -> Model:
     """The linear model before the diagnosis; the diagnosed one where no cause changed it."""
     before = diagnosis.details.get("linear_model")
     return model_from_json(before) if isinstance(before, dict) else diagnosis.model
-
-
-def replay_data(recording: Recording, diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """One entry an axis: the held-out motion measured, simulated by the linear and by the extended model.
-
-    Empty where a model cannot be simulated on this recording. The record is the held-out one with the most
-    motion, the first one where none is held out; a stretch of it that a picture can show.
-    """
-    experiments = [e for e in recording.experiments if e.frequencies_hz.size]
-    held = [e for e in experiments if e.role is Role.VALIDATE] or experiments[:1]
-    if not held:
-        return []
-    chosen = max(held, key=lambda e: float(e.position.std()))
-    after = replace(diagnosis.model, effects=effects_of_plant(diagnosis.model.effects))
-    linear = replace(linear_model_of(diagnosis), effects=())
-    try:
-        runs = [simulate(x, recording, only=(chosen.key,)).experiments[0] for x in (linear, after)]
-    except InvidError:
-        return []
-    entries = [
-        _replayed(chosen, [r.position[:, i] for r in (chosen, *runs)]) for i in range(recording.axis_count)
-    ]
-    common = {"unit": recording.position_unit, "extended": bool(after.effects)}
-    return [{"axis": axis, **common, **e} for axis, e in zip(recording.axes, entries, strict=True)]
-
-
-def _replayed(e: Experiment, motion: Sequence[Float64]) -> dict[str, Any]:
-    """``motion``: measured, simulated before and after; drawn are two cycles of the lowest line, from the
-    middle of the record."""
-    rows = int(np.clip(2.0 / max(float(e.frequencies_hz.min()), 1e-9) * e.sample_rate_hz, 50, e.samples))
-    start = (e.samples - rows) // 2
-    shown = slice(start, start + rows, max(1, rows // SAMPLES))
-    names = ("measured", "simulated_before", "simulated_after")
-    before, after = (float(np.sqrt(np.mean((m - motion[0]) ** 2))) for m in motion[1:])
-    return {
-        "experiment": e.key,
-        "role": str(e.role),
-        "time": e.time[shown].tolist(),
-        **{name: m[shown].tolist() for name, m in zip(names, motion, strict=True)},
-        "rms": {"motion": float(motion[0].std()), "error_before": before, "error_after": after},
-    }

@@ -235,26 +235,3 @@ def plain_hz(ax: Axes) -> None:
     ax.xaxis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
-
-
-def replay_picture(row: dict[str, Any], name: str) -> str:
-    """Measured and simulated motion over time, and the error before and after the extension."""
-
-    def fill(figure: Figure) -> None:
-        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1, 1.2])
-        time = np.array(row["time"])
-        measured = np.array(row["measured"])
-        top.plot(time, measured, color=MEASURED, lw=1.6, label="measured")
-        series = [("simulated_before", "linear model" if row["extended"] else "model", BEFORE, "--")]
-        if row["extended"]:
-            series.append(("simulated_after", "with the causes named", AFTER, ":"))
-        for key, words, colour, line in series:
-            top.plot(time, row[key], line, color=colour, lw=1.1, label=words)
-            bottom.plot(time, np.array(row[key]) - measured, color=colour, lw=0.9)
-        bottom.axhline(0.0, color=INK, lw=0.5)
-        top.set_ylabel(f"motion [{label(row['unit'])}]")
-        bottom.set(ylabel=f"simulated − measured [{label(row['unit'])}]", xlabel="time [s]")
-        top.set_title(label(f"{row['axis']} ({row['experiment']})", 32), loc="left")
-        figure.legend(loc="upper right", ncols=3)
-
-    return svg(name, fill, size=(7.2, 3.9), title=f"Motion of {row['axis']}, measured and simulated")

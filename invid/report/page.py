@@ -19,8 +19,8 @@ from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
 from invid.recording.still_axes import moving_part
 from invid.report.branch_drawing import branch_drawing
-from invid.report.data import figure_data, replay_data
-from invid.report.figures import draw, replay_picture
+from invid.report.data import figure_data
+from invid.report.figures import draw
 from invid.report.labels import printable
 from invid.wording.figures import differing_number
 
@@ -49,7 +49,7 @@ def render_report(
     """
     part, _ = moving_part(recording, model.axes)
     data = figure_data(part, model, diagnosis)
-    drawn, replayed = draw(data), [] if diagnosis is None else replay_data(part, diagnosis)
+    drawn = draw(data)
     first = [name for name in drawn if name in ("residual", "forces") or name.startswith("cause-")]
     shown = model if diagnosis is None else diagnosis.model
     findings = () if diagnosis is None else diagnosis.findings
@@ -57,8 +57,6 @@ def render_report(
     # Where it is comes before how much.
     pictures = {"branches": branch_drawing(shown, findings, lost)}
     pictures |= {name: drawn[name] for name in first}
-    for number, row in enumerate(replayed, 1):
-        pictures[f"replay-{number}"] = replay_picture(row, f"replay-{number}")
     pictures |= {name: picture for name, picture in drawn.items() if name not in pictures}
     environment = Environment(
         loader=PackageLoader("invid.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -72,7 +70,7 @@ def render_report(
         headline=_headline(model, diagnosis),
         sentences=_sentences(diagnosis),
         pictures=pictures,
-        data={**data, "replay": replayed},
+        data=data,
         notes=data["notes"],
         parameters=_parameters(shown),
         effects=[_effect(e) for e in shown.effects],
@@ -94,7 +92,6 @@ def _folded(pictures: Mapping[str, str]) -> list[tuple[str, list[str]]]:
     """Return what is opened by who wants to see it: titles, each with the names of its pictures."""
     kinds = (
         ("What is missing, over what", ("forces", "cause-", "missing-torque")),
-        ("The recorded torque through the model", ("replay-",)),
         ("Motion per torque, over frequency", ("frf-",)),
     )
     rows = [(title, [n for n in pictures if n.startswith(begins)]) for title, begins in kinds]
