@@ -111,8 +111,6 @@ class Effect:
     """Measures of its size with published figures, the most informative first."""
     optional: ClassVar[Mapping[str, float]] = MappingProxyType({})
     """Parameters that a model need not name, as they are then."""
-    in_samples: bool = False
-    """Whether it sits in the samples and not in the plant; it is found there, and not fitted."""
     parameters: ClassVar[Mapping[str, str]] = MappingProxyType({})
     rotary: bool = False
     main: str = ""

@@ -20,7 +20,6 @@ class DroppedSamples(Effect):
     family = "sampling"
     stands = ()
     home = "axis"
-    in_samples = True
     sizes = (Size(SAMPLES, size("fraction")),)
     parameters: ClassVar[Mapping[str, str]] = {"fraction": "ratio"}
     main = "fraction"
