@@ -22,6 +22,7 @@ SETTINGS = {
     "content_type_overrides": {
         "application/x-hdf5": "application/octet-stream",
         "application/x-hdf": "application/octet-stream",
+        "application/zip": "application/octet-stream",
         "image/svg+xml": "text/html",
     }
 }
