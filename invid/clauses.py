@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from invid.effects.registry import BY_CAUSE
@@ -9,6 +10,7 @@ from invid.effects.sizes import QUANTITIES
 from invid.model.diagnosis_document import Finding, Grade
 from invid.model.document import Estimate
 from invid.model.doubts import Doubt, DoubtCode
+from invid.model.expectation import Agreement, Answer, Expectation
 from invid.model.named_change import ChangeKind, NamedChange
 from invid.wording.figures import differing_number, signed, signed_share
 from invid.wording.sentence import Figure, Sentence, clause, listed, marked, sentence
@@ -392,3 +394,57 @@ def size_text(size: Estimate | None, unit: str | None) -> str:
     if abs(size.value) < 1e-2 and unit in ("rad", "m", "s"):
         return size_text(Estimate(1e3 * size.value, 1e3 * size.std), f"m{unit}")
     return Figure(f"{differing_number(size.value, size.std)} ± {differing_number(size.std, size.std)}{of}")
+
+
+# --- what a person said was changed ---------------------------------------------------------------
+_ANSWERS = {
+    Agreement.AS_SAID: marked("as you said, {found}"),
+    Agreement.SIZE_OPEN: marked("as you said, {found}: what {mass} makes at {arm} from the axis"),
+    Agreement.MORE: marked("more than you said ({said}), {found}"),
+    Agreement.LESS: marked("less than you said ({said}), {found}"),
+    Agreement.OPPOSITE: marked("the other way round than you said ({said}), {found}"),
+    Agreement.ELSEWHERE: marked("elsewhere than you said ({said}), {found}"),
+    Agreement.NOT_VISIBLE: marked("what you said ({said}) is not visible"),
+    Agreement.CANNOT_TELL: marked("whether it is as you said ({said}) cannot be told"),
+    Agreement.NO_MODEL: marked(
+        "whether it is as you said ({said}) cannot be told, as there is no accepted model yet"
+    ),
+}
+
+
+def answer_clause(answer: Answer) -> str:
+    """Return whether the change found is what was said: "as you said, new load on A2: …"."""
+    said, change = said_phrase(answer.expectation), answer.change
+    if change is None and answer.visible is not None and answer.agreement is Agreement.NOT_VISIBLE:
+        visible = Figure(f"±{answer.visible:.2g} {answer.unit or ''}".rstrip())
+        return sentence(
+            "what you said ({said}) is not visible, and beyond {visible} it would be",
+            said=said,
+            visible=visible,
+        )
+    values: dict[str, object] = {"said": said, "found": "" if change is None else change_clause(change)}
+    mass, found = answer.expectation.mass, None if change is None else change.difference
+    if answer.agreement is Agreement.SIZE_OPEN and mass and found is not None:
+        values["mass"] = Figure(f"{abs(mass):.3g} kg")
+        # The distance from the axis at which the mass that was said makes what was found.
+        values["arm"] = Figure(f"{math.sqrt(found / mass):.2g} m")
+    return sentence(_ANSWERS[answer.agreement], **values)
+
+
+_SUBJECTS = {
+    "tool": sentence("another tool"),
+    "transmission": sentence("gear or belt changed"),
+    "lubrication": sentence("other lubrication"),
+}
+
+
+def said_phrase(said: Expectation) -> str:
+    """Return what was said in a few words: "another tool on A2, about +1.3 kg·m²"."""
+    subject = _SUBJECTS[str(said.subject)]
+    where = subject if said.axis is None else sentence("{what} on {axis}", what=subject, axis=said.axis)
+    amount = said.size if said.size is not None else said.mass
+    if amount is None:
+        return where
+    unit = "kg" if said.size is None or said.linear else "kg·m²"
+    size = Figure(f"{amount:+.3g} {unit}".replace("-", "−"))
+    return sentence("{what}, about {size}", what=where, size=size)

@@ -11,6 +11,7 @@ from typing import Any
 
 from invid.clauses import (
     TOOL_CHANGE,
+    answer_clause,
     axes_phrase,
     change_check,
     change_clause,
@@ -22,6 +23,7 @@ from invid.clauses import (
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
 from invid.model.doubts import Doubt, doubts_of
+from invid.model.expectation import Agreement, Answer
 from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
 from invid.wording.figures import explained_percent
 from invid.wording.sentence import Figure, clause, joined, listed, marked, sentence, stated
@@ -43,13 +45,15 @@ MOST = 2
 
 @dataclass(frozen=True)
 class Beside:
-    """What is known beside a diagnosis: a doubt of how it was measured.
+    """What is known beside a diagnosis: a doubt of how it was measured, and the answer to who said what was
+    changed.
 
     ``screened``: of a short record that was only to tell whether anything changed, the verdict on the
     accepted model.
     """
 
     doubt: Doubt | None = None
+    answer: Answer | None = None
     screened: Verdict | None = None
 
 
@@ -58,7 +62,7 @@ class Facts:
     """What a headline is made of.
 
     ``changes``: against the accepted model; ``None`` where there is none to compare with. ``doubt``: the
-    weightiest reason not to trust the result. ``screened``: see ``Beside``.
+    weightiest reason not to trust the result. ``answer``, ``screened``: see ``Beside``.
     """
 
     axes: Sequence[str]
@@ -68,6 +72,7 @@ class Facts:
     unexplained_axis: str | None = None
     doubt: Doubt | None = None
     changes: Sequence[NamedChange] | None = None
+    answer: Answer | None = None
     screened: Verdict | None = None
     is_left_inside: bool = False
     """Whether all that is left acts behind the motors, whose own torque is explained."""
@@ -88,6 +93,7 @@ def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
         None if diagnosis.unexplained is None else diagnosis.unexplained.axis,
         own[0] if own else beside.doubt,
         diagnosis.changes,
+        beside.answer,
         beside.screened,
         _is_left_inside(diagnosis),
         all(r.noise_floor is not None for r in diagnosis.residual),
@@ -139,7 +145,8 @@ def headline_order(facts: Facts) -> list[list[str]]:
     """Return the sentences of the headline, each as the statements it joins.
 
     A doubt comes first only where the change cannot be believed because of it, or where it is of the model
-    and nothing changed that matters; else it is the last word, on what to do now.
+    and nothing changed that matters; else it is the last word, on what to do now. Whoever said what was
+    changed is answered before anything else.
     """
     loop = [_loop(facts)] if facts.loop else []
     return [*loop, *_of_machine(facts)]
@@ -167,16 +174,23 @@ def _loop(facts: Facts) -> list[str]:
 def _of_machine(facts: Facts) -> list[list[str]]:
     doubt, changes = facts.doubt, facts.changes
     serious = [c for c in changes or () if c.matters]
+    answered = [] if facts.answer is None else [answer_clause(facts.answer)]
+    told_already = None if facts.answer is None else facts.answer.change
     if doubt is not None and (doubt.spoils_changes or (doubt.is_of_model and not serious)):
         said = [sentence("this result is not to be trusted: {why}", why=doubt_sentence(doubt))]
+        if facts.answer is not None:
+            untold = Answer(facts.answer.expectation, Agreement.CANNOT_TELL)
+            return [[answer_clause(untold), *said]]
         return [[*said, *([sentence("whether anything changed cannot be told from it")] if changes else [])]]
     if not serious:
-        return [[*_calm(changes), *_findings(facts, facts.findings)]]
+        left = None if changes is None else [c for c in changes if c is not told_already]
+        calm = [] if told_already is not None and not left else _calm(left)
+        return [[*answered, *calm, *_findings(facts, facts.findings)]]
     told = {_place(c) for c in serious if c.cause is not None}
     rest = [f for f in facts.findings if _place_of(f) not in told and grade_of(f) is not Grade.AS_EXPECTED]
     quiet = facts.verdict is Verdict.UNEXPLAINED or facts.screened is not None or not rest
     beside = [] if quiet else _groups(facts, rest)
-    return [_changed(serious), beside, [_now(facts, serious)]]
+    return [[*answered, *_changed(serious, told_already)], beside, [_now(facts, serious)]]
 
 
 def _calm(changes: Sequence[NamedChange] | None) -> list[str]:
@@ -188,11 +202,11 @@ def _calm(changes: Sequence[NamedChange] | None) -> list[str]:
     return [change_clause(c) for c in changes[:MOST]]
 
 
-def _changed(serious: Sequence[NamedChange]) -> list[str]:
-    """The changes, what they look like, and how many more there are."""
+def _changed(serious: Sequence[NamedChange], told: NamedChange | None = None) -> list[str]:
+    """The changes but the one that was told already, what they look like, and how many more there are."""
     tool = is_tool_change(serious)
     # How loads couple and weigh changes with them.
-    listed = [c for c in serious if not tool or c.kind is ChangeKind.LOAD]
+    listed = [c for c in serious if c is not told and (not tool or c.kind is ChangeKind.LOAD)]
     said = []
     for c in listed[:MOST]:
         looks = None if tool else change_looks(c)
@@ -200,7 +214,7 @@ def _changed(serious: Sequence[NamedChange]) -> list[str]:
         said.append(clause if looks is None else sentence("{what}, {means}", what=clause, means=looks))
     if len(listed) > MOST:
         said.append(sentence("{n} more changes", n=len(listed) - MOST))
-    return [*said, TOOL_CHANGE] if tool else said
+    return [*said, TOOL_CHANGE] if tool and told is None else said
 
 
 def _now(facts: Facts, serious: Sequence[NamedChange]) -> str:

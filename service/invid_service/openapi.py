@@ -63,6 +63,7 @@ EXAMPLES: dict[str, Any] = {
         "separates": None,
         "analyses": None,
         "verifies": None,
+        "changed": None,
         "axes": ["A1", "A2"],
         "state": "failed",
         "simulated": False,

@@ -151,7 +151,7 @@ TWO = SMALL_CELL.replace("safety:", AXIS, 1).replace(
 )
 
 
-def test_a_named_person_accepts_and_a_short_check_says_what_changed_since(tmp_path: Path) -> None:
+def test_a_named_person_accepts_says_what_changed_and_a_short_check_answers_it(tmp_path: Path) -> None:
     with serving(tmp_path, cell=TWO) as service, browser(tmp_path / "p") as driver:
         page = Page(driver)
         page.resize(390, 844)
@@ -168,19 +168,27 @@ def test_a_named_person_accepts_and_a_short_check_says_what_changed_since(tmp_pa
 
         page.press(page.shown("again"))
         page.wait_text("in-force", "Ann Weld")
+        page.unfold("changed")
+        assert not page.driver.find_element("id", "changed-mass").is_displayed()
+        page.press(driver.find_element("css selector", "#changed label:has([value=tool])"))
+        driver.find_element("css selector", "#changed-axis [value=A2]").click()
+        for field, value in (("changed-mass", "1.3"), ("changed-arm", "1")):
+            page.shown(field).send_keys(value)
         assert page.overflow() <= 0
         assert page.small_targets() == []
         page.press(page.shown("screen"))
         page.press(page.shown("arm"))
         page.drawing()
-        assert page.text("sentence").startswith("New load on A2: +1.3")
+        assert page.text("sentence").startswith("As you said, new load on A2: +1.3")
         assert page.text("sentence").endswith("Measure in full to take it over.")
+        assert "Said before: Tool, A2, 1.3 kg, 1 m" in page.text("run-facts")
         assert not driver.find_element("id", "accept").is_displayed()
         now = service.client.get("/api/v1/cells/small/model").json()["id"]
         assert first.endswith(now), "a short check replaces no model"
 
         page.press(page.shown("again"))
         page.shown("start-card")
+        assert not driver.find_element("id", "changed-mass").is_displayed(), "said once, for one run"
         driver.refresh()
         time.sleep(0.5)
         assert driver.execute_script("return document.getElementById('by').value") == "Ann Weld"

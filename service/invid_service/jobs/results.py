@@ -5,23 +5,26 @@ force.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from invid.comparison.answers import judge_screening
+from invid.comparison.answers import answer_expectation, judge_screening
 from invid.comparison.changes import Comparison
 from invid.comparison.compare import compare
 from invid.diagnosis.headline import Beside, with_headline
 from invid.errors import InvidError
 from invid.model.diagnosis_document import Diagnosis, diagnosis_to_json, load_diagnosis
 from invid.model.document import Model, dump_json, model_from_json, parse_json, save_text
-from invid.model.doubts import DoubtCode
+from invid.model.doubts import Doubt, DoubtCode
+from invid.model.expectation import Agreement, Answer
 from invid_service.cells.changes import changes_view
 from invid_service.jobs.doubts import doubt_view, doubts_against
 from invid_service.jobs.folder import complete_recording
+from invid_service.jobs.stated_change import StatedChange
 from invid_service.settings import Settings
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import RunRecord, Store, StoredModel
@@ -125,11 +128,13 @@ class Results:
             found = self._against_accepted(run)
             if found is not None:
                 summary["changes"] = found[1]
+            answer = _answer(run, None if found is None else found[0], doubts)
+            summary["answer"] = None if answer is None else str(answer.agreement)
             diagnosis = self._diagnosis(run)
             if diagnosis is None:
                 return {**summary, **({} if found is None else {"headline": found[1]["headline"]})}
             test = next((d for d in doubts if d.code is DoubtCode.TEST), None)
-            beside = Beside(test)
+            beside = Beside(test, answer)
             if run.mode == "screen" and found is not None:
                 screening = judge_screening(diagnosis, found[2], found[0], beside)
                 told = screening.diagnosis or diagnosis
@@ -176,6 +181,18 @@ class Results:
         blob = self._blobs.put(run.id, "diagnosis", source)
         if blob is not None:
             self._store.add_artefacts(run.id, {"diagnosis": blob}, now)
+
+
+def _answer(run: RunRecord, found: Comparison | None, doubts: Sequence[Doubt]) -> Answer | None:
+    """Return the answer to whoever said at the start what was changed."""
+    said = run.facts.get("changed")
+    if said is None:
+        return None
+    linear = found is not None and any(p.kind == "mass" and p.unit == "kg" for p in found.parameters)
+    expectation = StatedChange.model_validate(said).expectation(linear=linear)
+    if found is not None and any(d.spoils_changes for d in doubts):
+        return Answer(expectation, Agreement.CANNOT_TELL)
+    return answer_expectation(expectation, found)
 
 
 def load(stored: StoredModel) -> Model:

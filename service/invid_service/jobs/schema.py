@@ -12,6 +12,7 @@ from invid.wording.fields import Text
 from invid_drivers.protocol import ErrorInfo, RunProgress
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, progress_of
+from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY
 from invid_service.links import address
@@ -62,6 +63,8 @@ class StartBody(BaseModel):
     not tell apart (its ``separating``), instead of the cell's own."""
     tuned: str | None = Field(default=None, max_length=40, pattern=r"^[A-Za-z0-9-]+$")
     """With ``verify``: the identification whose tuning was applied."""
+    changed: StatedChange | None = None
+    """What a person changed before: the headline says first whether that is what was found."""
 
 
 class ActionBody(BaseModel):
@@ -138,6 +141,9 @@ class Identification(Spoken, RunProgress):
     """The identification whose recording this run works out (again)."""
     verifies: str | None
     """The identification whose tuning this run measures."""
+    changed: StatedChange | None
+    """What a person said was changed before; the summary's ``answer`` says how that agrees with what was
+    found."""
     axes: list[str]
     state: State
     simulated: bool
@@ -203,6 +209,7 @@ def view(
         separates=record.facts.get("separates"),
         analyses=record.facts.get("analyses"),
         verifies=record.facts.get("verifies"),
+        changed=record.facts.get("changed"),
         axes=list(record.axes),
         error=record.facts.get("error"),
         recorded=None if kept is None or record.state not in ENDED else "recording" in kept,

@@ -52,8 +52,8 @@ async def begin_identification(
         separation = None if body.separate is None else await _separation(service, cell, body)
         tuning = None if body.tuned is None else await _tuning_of(service, body.tuned, cell)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
-        facts = {"amplitude": body.amplitude, "separates": body.separate, "verifies": body.tuned}
-        record = replace(record, facts=facts)
+        asked = body.model_dump(include={"amplitude", "changed"})
+        record = replace(record, facts={**asked, "separates": body.separate, "verifies": body.tuned})
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         job = _job(service, cell, record, body, in_force, separation)
         if tuning is not None and job.config is not None:
@@ -85,7 +85,7 @@ def _wrong_with(body: StartBody, cell: Cell) -> str | None:
             "mode: 'verify' measures the loops of all axes, and 'tuned' names the run whose tuning the "
             "drives were given; nothing else takes 'tuned'"
         )
-    return None
+    return None if body.changed is None else body.changed.refusal(cell.axes, linear=cell.config.linear)
 
 
 async def _tuning_of(service: Service, identity: str, cell: Cell) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 import { Problem, call, download, get, onKeyRefused, post, useKey } from "./api.js";
 import { onVerify } from "./verify.js";
 import { ask } from "./ask.js";
+import { changed, forgetChanged, offerChanged } from "./changed.js";
 import { why } from "./findings.js";
 import { showHistory } from "./history.js";
 import { showOverview, stateText } from "./overview.js";
@@ -125,6 +126,7 @@ const details = (id, of) => alone(`cell ${id}`, async () => {
   $("screen").hidden = !cell.model; // nothing can have changed since none
   if (state.run) show(state.run);
   if (same) return;
+  offerChanged(cell);
   $("strength").hidden = $("upload-cell-choice").hidden = false;
   fill($("axes"), cell.axes.map((a) => el("label", {}, [el("input", { type: "checkbox", name: "axis", value: a, checked: true }), el("b", {}, a)])));
   fill($("drives"), [el("table", {}, [
@@ -173,13 +175,14 @@ $("start-card").addEventListener("submit", guarded(async (event) => {
   event.preventDefault();
   const form = new FormData(event.target), axes = form.getAll("axis");
   if (!axes.length) { $("problem").hidden = false; fill($("problem"), [t("start.no_axis")]); return; }
-  await begin({ mode: form.get("mode"), axes, ...(form.get("amplitude") === "gentler" ? { amplitude: "gentler" } : {}) }, $("prepare"));
+  await begin({ mode: form.get("mode"), axes, ...(form.get("amplitude") === "gentler" ? { amplitude: "gentler" } : {}), ...changed() }, $("prepare"));
+  forgetChanged();
 }));
-$("screen").addEventListener("click", guarded(async () => { await begin({ mode: "screen" }, $("screen")); }));
+$("screen").addEventListener("click", guarded(async () => { await begin({ mode: "screen", ...changed() }, $("screen")); forgetChanged(); }));
 onVerify({ guarded, verify: (tuned, pressed) => begin({ mode: "verify", tuned }, pressed) });
 $("separate").addEventListener("click", guarded(() => begin({ mode: state.run.mode === "simulate" ? "simulate" : "full", separate: state.run.id }, $("separate"))));
 $("analyse").addEventListener("click", guarded(() => pressing($("analyse"), async () => opens(await post(state.run.links.analysis, undefined, unique())))));
-const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.verifies ? { tuned: state.run.verifies } : state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
+const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.changed ? { changed: state.run.changed } : {}), ...(state.run.verifies ? { tuned: state.run.verifies } : state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
 
 // --- the run that is seen -----------------------------------------------------------------------------
 /** @param {Run} run */

@@ -1,6 +1,7 @@
 // The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
 import { call, get } from "./api.js";
 import { verified } from "./verify.js";
+import { saidBefore } from "./changed.js";
 import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
@@ -47,7 +48,7 @@ export async function showResult(run) {
   showDecision(run);
   if (shown === run.id) return;
   shown = run.id;
-  $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "");
+  $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "") + (run.changed ? `. ${saidBefore(run)}` : "");
   fill($("grade"), [gradeBadge(summary.grade ?? "none")]);
   $("sentence").textContent = headline(summary);
   $("sentence").lang = said(summary.headline ?? "").lang;
