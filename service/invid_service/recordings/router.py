@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
+from starlette.datastructures import FormData, UploadFile
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from invid.model.document import parse_json
@@ -33,7 +35,19 @@ _RAW = ("application/x-hdf5", "application/x-hdf", "application/octet-stream")
 _BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
-        "content": {media: {"schema": {"type": "string", "format": "binary"}} for media in _RAW},
+        "content": {
+            **{media: {"schema": {"type": "string", "format": "binary"}} for media in _RAW},
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["file"],
+                    "properties": {
+                        "file": {"type": "string", "format": "binary"},
+                        "cell": {"type": "string"},
+                    },
+                }
+            },
+        },
     }
 }
 
@@ -52,23 +66,28 @@ async def upload_recording(
     caller: Runner,
     cell: Annotated[str | None, Query(max_length=64, pattern=r"^[A-Za-z0-9_-]+$")] = None,
 ) -> Identification:
-    """Upload an ``invid-recording`` (HDF5), as the body itself.
+    """Upload an ``invid-recording`` (HDF5), as the body itself or as the form field ``file``.
 
-    ``cell``: the result belongs to the history of that cell, whose
+    ``cell``, in the query or as a field of the form: the result belongs to the history of that cell, whose
     axes it must have. It is no measurement of it, so it blocks no run and is never in force.
     """
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
-    if media not in _RAW:
+    if media not in (*_RAW, "multipart/form-data"):
         raise Problem(
             "unsupported-media-type",
-            f"Content-Type {media!r}: send the HDF5 file itself as application/x-hdf5, in no form",
+            f"Content-Type {media!r}: send the HDF5 file as application/x-hdf5 or as the form field 'file'",
         )
-    owner = None if cell is None else service.cell(cell)
+    if cell is not None:
+        service.cell(cell)
     _require_room(service, int(request.headers.get("content-length") or 0))
     record = service.new_run(None, UPLOAD, [], caller.name)
     with service.blobs.filling(record.id) as folder:
         target = folder / "recording.h5"
-        await _receive_raw(request, target)
+        if media in _RAW:
+            await _receive_raw(request, target)
+        else:
+            cell = await _receive_form(request, target, cell)
+        owner = None if cell is None else service.cell(cell)
         await check_claims(target, largest=service.settings.max_unpacked_bytes)
         if owner is not None:
             record = replace(record, cell=owner.id, robot=owner.config.robot)
@@ -143,6 +162,35 @@ def _require_hdf5(first: bytes, signature: bytes) -> None:
     if first != signature:
         text = "the body is no HDF5 file; 'invid import' turns other formats into one"
         raise Problem("invalid-recording", text)
+
+
+async def _receive_form(request: Request, target: Path, cell: str | None) -> str | None:
+    """Write the file of a form; return the cell that form or query (``cell``) names."""
+    # Files are spooled to disk beyond a megabyte: memory does not grow with the upload.
+    try:
+        with _whole():
+            form = await request.form(max_files=1, max_fields=4, max_part_size=4096)
+    except HTTPException as error:
+        if error.status_code == 400:
+            raise Problem("invalid-request", f"the form cannot be read: {error.detail}") from None
+        raise
+    try:
+        return await _read_form(form, target, cell)
+    finally:
+        await form.close()
+
+
+async def _read_form(form: FormData, target: Path, cell: str | None) -> str | None:
+    file, named = form.get("file"), form.get("cell") or cell
+    if not isinstance(file, UploadFile):
+        raise Problem("invalid-request", "the form has no file in the field 'file'")
+    _require_hdf5(await file.read(len(SIGNATURE)), SIGNATURE)
+    if not isinstance(named, str | None) or cell not in (None, named):
+        raise Problem("invalid-request", f"cell: the query says {cell!r}, the form {str(named)[:64]!r}")
+    await file.seek(0)
+    with storing("the upload", target), target.open("wb") as out:
+        await asyncio.to_thread(shutil.copyfileobj, file.file, out, 1024 * 1024)
+    return named
 
 
 async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell | None) -> None:

@@ -90,9 +90,15 @@ def recording() -> bytes:
     return file.getvalue()
 
 
-def test_an_upload_joins_the_history_of_a_cell_and_measures_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["query", "form"])
+def test_an_upload_joins_the_history_of_a_cell_and_measures_nothing(tmp_path: Path, how: str) -> None:
     with running(tmp_path) as (client, director):
-        answer = client.post("/api/v1/recordings?cell=cell", content=recording(), headers=HDF5)
+        if how == "query":
+            answer = client.post("/api/v1/recordings?cell=cell", content=recording(), headers=HDF5)
+        else:
+            answer = client.post(
+                "/api/v1/recordings", data={"cell": "cell"}, files={"file": ("r.h5", recording())}
+            )
         assert answer.status_code == 202, answer.text
         location = answer.headers["Location"]
         body = wait_for(client, location, "succeeded")

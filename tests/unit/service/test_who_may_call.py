@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -164,15 +165,20 @@ def test_an_upload_announced_too_large_is_refused_before_it_is_read(tmp_path: Pa
         assert kind(lying) == "bad-request"
 
 
-def test_an_upload_that_grows_beyond_the_limit_is_cut_off_and_leaves_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("media", ["application/x-hdf5", "multipart/form-data"])
+def test_an_upload_that_grows_beyond_the_limit_is_cut_off_and_leaves_nothing(
+    tmp_path: Path, media: str
+) -> None:
     def chunks() -> Iterator[bytes]:
         yield b"\x89HDF\r\n\x1a\n"
         for _ in range(100):
             yield b"\0" * 10_000
 
     with running(tmp_path, max_upload_bytes=50_000) as (client, director):
-        headers = {"Content-Type": "application/x-hdf5"}
-        answer = client.post("/api/v1/recordings", content=chunks(), headers=headers)
+        if media == "application/x-hdf5":
+            answer = client.post("/api/v1/recordings", content=chunks(), headers={"Content-Type": media})
+        else:
+            answer = client.post("/api/v1/recordings", files={"file": io.BytesIO(b"".join(chunks()))})
         assert kind(answer) == "too-large"
         assert director.workers == []
         assert list((tmp_path / "data" / "work").iterdir()) == []
