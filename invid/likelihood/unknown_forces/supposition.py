@@ -235,6 +235,18 @@ class Supposed:
         """−2 ln L of the records kept out; that of those fitted where none are."""
         return self.total if self.kept_value is None else float(self.kept_value.share.sum())
 
+    @cached_property
+    def kept_total_unmoved(self) -> float:
+        """The same on their motion as far as it is known, as a fit is on motion that stays."""
+        if self.kept is None or self.kept_motions is None:
+            return self.total
+        return float(self._on_kept(self.kept, self.kept_motions).value.share.sum())
+
+    def at_rest_on_kept(self) -> Supposed:
+        """The same with the motion of the records kept out at rest."""
+        at_rest = self._kept_at_rest
+        return self if at_rest is None else replace(self, kept_motions=at_rest.motions)
+
     def refit(
         self,
         hypothesis: Hypothesis | None = None,
@@ -366,7 +378,7 @@ def _agreed(smoothed: Sequence[SmoothedStack], friction: Friction) -> list[Stack
     return [replace(s.stack, records=agreed_records(s, friction)) for s in smoothed]
 
 
-KEPT_ROUNDS, STANDS = 6, 0.1 * price_at_motors(PARTS)
+KEPT_ROUNDS, STANDS = 3, 0.1 * price_at_motors(PARTS)
 """Most times that the motion of records kept out is smoothed, and the change of −2 ln L by which it stands: a
 tenth of the least price."""
 HELD = 1e-9

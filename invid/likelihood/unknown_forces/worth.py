@@ -105,7 +105,10 @@ def _weigh(now: Supposed, one: Deletion) -> tuple[Worth, Supposed | None]:
     less = one.without(now)
     gaps, rise = (now.fit.open_gap, less.fit.open_gap), less.total - now.total
     worth = Worth(one.cause, one.key, rise, (rise, 0.0), tuple(less.strength), one.numbers, gaps)
-    worth = replace(worth, roles=role_falls(less, now)) if worth.may_pay else worth
+    if worth.may_pay and less.motions is now.motions:
+        worth = replace(worth, roles=(rise, less.kept_total_unmoved - now.kept_total_unmoved))
+    elif worth.may_pay:
+        worth = replace(worth, roles=role_falls(less, now))
     return (replace(worth, gaps=None) if less.fit.ended is Ended.CUT else worth), less
 
 
@@ -119,6 +122,7 @@ def prune(
     """
     known: dict[Hashable, tuple[Worth, Supposed | None]] = {}
     weighed_at: dict[Hashable, Supposed] = {}
+    now = now.at_rest_on_kept()
     while True:
         deletions = {d.key: d for d in deletions_of(now)}
         for key, deletion in deletions.items():
