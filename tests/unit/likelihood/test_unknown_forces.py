@@ -11,19 +11,19 @@ from unit.likelihood.chain_plant import RATE, ChainPlant
 
 from invid.effects.catalogue.backlash import BacklashLaw
 from invid.identification.missing_torque import axis_missing
+from invid.likelihood.unknown_forces.fitted_hypothesis import (
+    Bench,
+    FittedHypothesis,
+    Hypothesis,
+    first_strength,
+    fit_hypothesis,
+)
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
 from invid.likelihood.unknown_forces.shapes import reshape, with_law
 from invid.likelihood.unknown_forces.slope import slope
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
-from invid.likelihood.unknown_forces.supposition import (
-    Bench,
-    Hypothesis,
-    Supposed,
-    first_strength,
-    suppose,
-)
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Column, Ends, Numbers, evaluate
 from invid.model.plant import Kind, Plant, Structure
@@ -48,7 +48,7 @@ def fitted(
     lead: float = 0.0,
     dry: tuple[float, float] = (0.4, 0.6),
     cube: float = 0.0,
-) -> tuple[ChainPlant, Supposed]:
+) -> tuple[ChainPlant, FittedHypothesis]:
     """The first fit, from a start a tenth off in every number; ``cube``: hardening of the last spring."""
     plant = ChainPlant(
         gaps={0: gap} if gap else {}, cubes={2: cube} if cube else {}, lead=(lead, lead), dry=dry
@@ -64,10 +64,10 @@ def fitted(
         Timing.nominal(2, 1 / RATE),
         first_strength(stacks, structure),
     )
-    return plant, suppose((Bench(stacks), None), Hypothesis(structure, first_shapes(stacks)), numbers)
+    return plant, fit_hypothesis((Bench(stacks), None), Hypothesis(structure, first_shapes(stacks)), numbers)
 
 
-def errors(plant: ChainPlant, found: Supposed) -> np.ndarray:
+def errors(plant: ChainPlant, found: FittedHypothesis) -> np.ndarray:
     """Errors of masses and springs over their deviations."""
     size = sum(plant.sizes) + len(found.hypothesis.structure.links)
     true = np.log(true_values(plant)[:size])
