@@ -30,11 +30,11 @@ import numpy as np
 
 from benchmarks.shared import plant_oracle as oracle
 from invid.errors import InvidError
-from invid.identification.begun import settled_about
 from invid.identification.fitted_model import chains_covariance
 from invid.identification.identify import identify
 from invid.identification.kept_out import all_records
 from invid.identification.open_holds import open_masses
+from invid.identification.search_start import settled_about
 from invid.model.chains import CoupledChains
 from invid.model.document import Model, parameter_vector
 from invid.model.forward import frf as chain_frf

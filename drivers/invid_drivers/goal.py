@@ -9,9 +9,9 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError
-from invid.identification.begun import settled_about
 from invid.identification.identify import Masses, identify
 from invid.identification.kept_out import all_records
+from invid.identification.search_start import settled_about
 from invid.model.document import Model, parameter_vector
 from invid.planning.detection import DetectionLimit, limits_at
 from invid.planning.expected_covariance import is_in_goal, parameter_scale

@@ -15,9 +15,9 @@ from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.diagnosis.unknown_forces.structure_at_start import begin_with_structure
 from invid.errors import InputError, NotIdentifiableError
-from invid.identification.begun import Begun, begin_elastic
 from invid.identification.identify import requested_sizes
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
+from invid.identification.search_start import SearchStart, begin_elastic
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
 from invid.numerics import budget
@@ -100,7 +100,7 @@ def _diagnose_clean(
     return with_lost_samples(diagnose_elastic(begun), recording, dropped)
 
 
-def _begin(recording: Recording, repaired: Recording, sizes: tuple[int, ...] | None) -> Begun:
+def _begin(recording: Recording, repaired: Recording, sizes: tuple[int, ...] | None) -> SearchStart:
     """Where the search begins of a machine that is shaken; one that is moved need not show chains."""
     check_shaken(recording)
     return begin_elastic(repaired, sizes, start=begin_with_structure)

@@ -22,18 +22,18 @@ from invid.identification.first_plants import (
     random_plants,
     split_plants,
 )
+from invid.likelihood.unknown_forces.fitted_hypothesis import (
+    Bench,
+    FittedHypothesis,
+    Hypothesis,
+    first_strength,
+    fit_hypothesis,
+)
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw, axis_of
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
-from invid.likelihood.unknown_forces.supposition import (
-    Bench,
-    Hypothesis,
-    Supposed,
-    first_strength,
-    suppose,
-)
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
 from invid.model.plant import Plant, Structure
@@ -60,7 +60,7 @@ PASSES = 2
 """Times that every chain astray is split, again where that made it better."""
 AS_WELL = 10.0
 """Rise of −2 ln L up to which another structure with as many numbers does as well: odds of 150 to one."""
-HOME, HOME_AT_MOTORS = 0.01, 0.03
+NEGLIGIBLE, NEGLIGIBLE_AT_MOTORS = 0.01, 0.03
 """Unknown force over the torque's rms, behind the motors and anywhere, below which a start is home: what
 friction leaves before its shape is fitted stays below a fiftieth (empirical)."""
 
@@ -75,17 +75,17 @@ def torque_rms(bench: Bench) -> float:
     return float(np.sqrt(np.mean(power) / 2.0))
 
 
-def is_home(found: Supposed) -> bool:
+def leaves_nothing(found: FittedHypothesis) -> bool:
     """Return whether nothing unknown acts that counts."""
-    return is_settled(found) and found.strength[0][0] < HOME_AT_MOTORS * torque_rms(found.bench)
+    return is_settled(found) and found.strength[0][0] < NEGLIGIBLE_AT_MOTORS * torque_rms(found.bench)
 
 
-def is_settled(found: Supposed) -> bool:
+def is_settled(found: FittedHypothesis) -> bool:
     """Return whether nothing unknown that counts acts behind the motors."""
-    return found.inner_strength < HOME * torque_rms(found.bench)
+    return found.inner_strength < NEGLIGIBLE * torque_rms(found.bench)
 
 
-def is_lost(found: Supposed) -> bool:
+def is_lost(found: FittedHypothesis) -> bool:
     """Return whether so much acts behind the motors that no law explains it from where the fit stands."""
     return found.inner_strength > LOST * torque_rms(found.bench)
 
@@ -95,7 +95,7 @@ class Known:
     """What is known before a fit: one with ``fewer`` masses, from which starts are grown too and whose shapes
     of friction it begins with; a ``plant`` of its very structure, which is its first start."""
 
-    fewer: Supposed | None = None
+    fewer: FittedHypothesis | None = None
     plant: Plant | None = None
 
 
@@ -110,13 +110,15 @@ FURTHER_MASSES = sentence("further masses")
 """What a spent budget leaves out without which the number of masses is open, in the words of the warning."""
 
 
-def begin(bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING) -> Supposed:
+def begin(
+    bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING
+) -> FittedHypothesis:
     """The fit of a structure with friction at the motors, from the first start at home, else the lowest."""
     lowest = lowest_fit(bench, structure, kept, known)
-    return brought_home(lowest, bent_axes(lowest))
+    return with_best_splits(lowest, bent_axes(lowest))
 
 
-def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Known) -> Supposed:
+def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Known) -> FittedHypothesis:
     """The first fit at home of what is known and of continued fractions, else the lowest; random splits where
     those have no value."""
     fewer = known.fewer
@@ -129,8 +131,8 @@ def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Kn
             continue
         least = found.total
         # Of the right plant friction's form is all that is left.
-        lowest = found.refit() if is_home(found) else reshape(scan_friction(found))
-        if is_home(lowest) or budget.is_left_out(FURTHER_STARTS):
+        lowest = found.refit() if leaves_nothing(found) else reshape(scan_friction(found))
+        if leaves_nothing(lowest) or budget.is_left_out(FURTHER_STARTS):
             break
     if lowest is None:
         splits = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
@@ -154,7 +156,7 @@ def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known
         yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
 
 
-def brought_home(now: Supposed, bent: Axes) -> Supposed:
+def with_best_splits(now: FittedHypothesis, bent: Axes) -> FittedHypothesis:
     """The lowest end of chains that are split anew where something unknown acts; where that is most between
     two loads, of chains that were followed beside springs there as well.
 
@@ -166,28 +168,28 @@ def brought_home(now: Supposed, bent: Axes) -> Supposed:
     return min(end, _with_splits(_beside_springs(now), bent), key=lambda f: f.total)
 
 
-def home_beside_springs(now: Supposed, bent: Axes) -> Supposed | None:
+def settled_beside_springs(now: FittedHypothesis, bent: Axes) -> FittedHypothesis | None:
     """The fit at home from chains that were followed beside springs between loads, where most acts between
     two; ``None`` where it is not home, or something else acts most."""
     if not acts_between_loads(now):
         return None
     tied = _with_splits(_beside_springs(now), bent)
-    return None if astray(tied) else min(now, tied, key=lambda f: f.total)
+    return None if unexplained_axes(tied) else min(now, tied, key=lambda f: f.total)
 
 
-def acts_between_loads(now: Supposed) -> bool:
+def acts_between_loads(now: FittedHypothesis) -> bool:
     """Return whether most acts between two loads, and no base moves under them."""
-    first = next(iter(astray(now).values()), None)
+    first = next(iter(unexplained_axes(now).values()), None)
     return first is not None and first.where is Where.PAIR and not now.hypothesis.structure.base
 
 
-def _beside_springs(now: Supposed) -> Supposed:
+def _beside_springs(now: FittedHypothesis) -> FittedHypothesis:
     """The lowest fit from chains that follow the motors' own stiffness beside springs between loads; as it is
     where none has a value."""
     benches = now.bench, now.kept
     hypothesis = Hypothesis(now.hypothesis.structure, first_shapes(now.bench.stacks))
     stacks = (*now.bench.stacks, *(now.kept.stacks if now.kept else ()))
-    best: Supposed | None = None
+    best: FittedHypothesis | None = None
     for plant in fraction_plants(stacks, hypothesis.structure, TIED):
         if budget.is_left_out(FURTHER_STARTS):
             break
@@ -196,23 +198,23 @@ def _beside_springs(now: Supposed) -> Supposed:
     return now if best is None else reshape(scan_friction(best))
 
 
-def _with_splits(now: Supposed, bent: Axes) -> Supposed:
+def _with_splits(now: FittedHypothesis, bent: Axes) -> FittedHypothesis:
     """The lowest end of random splits of the chains in which something unknown acts, one after another: of
     several together none would come home. Again from what is better: beside a chain at home others follow."""
     rng = np.random.default_rng(1)
     for _ in range(PASSES):
         before = now
-        for axis in astray(now):
-            worst = astray(now).get(axis)
+        for axis in unexplained_axes(now):
+            worst = unexplained_axes(now).get(axis)
             if worst is None or axis in bent or budget.is_left_out(FURTHER_STARTS):
                 continue
             now = _split_anew(now, (axis, _masses_before(now.hypothesis.structure, axis, worst)), rng)
-        if before.total - now.total < price(NUMBERS) or not astray(now):
+        if before.total - now.total < price(NUMBERS) or not unexplained_axes(now):
             break
     return now
 
 
-def _split_anew(now: Supposed, place: tuple[int, int], rng: np.random.Generator) -> Supposed:
+def _split_anew(now: FittedHypothesis, place: tuple[int, int], rng: np.random.Generator) -> FittedHypothesis:
     """The lowest of random splits of one chain: of all of it, and of what is behind the first place at which
     something acts, its first mass and spring at least.
 
@@ -225,12 +227,12 @@ def _split_anew(now: Supposed, place: tuple[int, int], rng: np.random.Generator)
     best = _contest((now.bench, now.kept), now.hypothesis, splits, axis)
     if best is None or best.total >= now.total:
         return now
-    return best if is_home(best) else reshape(scan_friction(best))
+    return best if leaves_nothing(best) else reshape(scan_friction(best))
 
 
-def astray(now: Supposed) -> dict[int, Spot]:
+def unexplained_axes(now: FittedHypothesis) -> dict[int, Spot]:
     """Axes in whose chains something unknown acts, the strongest first, each with its strongest place."""
-    level, structure = HOME * torque_rms(now.bench), now.hypothesis.structure
+    level, structure = NEGLIGIBLE * torque_rms(now.bench), now.hypothesis.structure
     out: dict[int, Spot] = {}
     for strength, spot in now.strength:
         if spot.where is not Where.MOTOR and strength > level:
@@ -246,10 +248,10 @@ def _masses_before(structure: Structure, axis: int, spot: Spot) -> int:
     return min(at, structure.load[axis]) - structure.motor[axis]
 
 
-def bent_axes(now: Supposed) -> Axes:
+def bent_axes(now: FittedHypothesis) -> Axes:
     """Axes on which most acts in a spring and free play or hardening of that spring takes it up: no other
     chain explains that, and beside it no start is at home."""
-    worst = {axis: spot for axis, spot in astray(now).items() if spot.where is Where.SPRING}
+    worst = {axis: spot for axis, spot in unexplained_axes(now).items() if spot.where is Where.SPRING}
     now = now.with_motion() if worst else now
     before, out = {spot: rms for rms, spot in now.strength}, set()
     for axis, spot in worst.items():
@@ -264,7 +266,9 @@ def bent_axes(now: Supposed) -> Axes:
     return frozenset(out)
 
 
-def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> tuple[Supposed, tuple[Sizes, ...]]:
+def begin_open(
+    bench: Bench, motors: int, kept: Bench | None = None
+) -> tuple[FittedHypothesis, tuple[Sizes, ...]]:
     """The fit of as many masses as the records ask for, and other numbers of masses that do as well.
 
     Without a period the ends of a record blur a motor's own stiffness, and masses are tried one by one.
@@ -274,14 +278,14 @@ def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> tuple[Su
     return _begin_grown((bench, kept), motors)
 
 
-def _as_well(best: Supposed, tried: Sequence[Supposed]) -> tuple[Sizes, ...]:
+def _as_well(best: FittedHypothesis, tried: Sequence[FittedHypothesis]) -> tuple[Sizes, ...]:
     """Masses of other fits with as many numbers whose value is no worse."""
     count = sum(best.hypothesis.structure.sizes)
     near = [f.hypothesis.structure.sizes for f in tried if f is not best and f.total < best.total + AS_WELL]
     return tuple(sizes for sizes in near if sum(sizes) == count)
 
 
-def _begin_seen(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, ...]]:
+def _begin_seen(benches: Benches, motors: int) -> tuple[FittedHypothesis, tuple[Sizes, ...]]:
     """The fit of as many masses as each motor's own stiffness shows.
 
     Of one more on an axis that is astray and that no spring's own law brings back, or on all of those, if
@@ -291,8 +295,8 @@ def _begin_seen(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, .
     sizes: Sizes = tuple(masses_seen(bench.stacks, m) for m in range(motors))
     lowest = lowest_fit(bench, Structure(sizes), kept, NOTHING)
     bent = bent_axes(lowest)
-    now = home_beside_springs(lowest, bent) or brought_home(lowest, bent)
-    short = [axis for axis in sorted(astray(now)) if axis not in bent]
+    now = settled_beside_springs(lowest, bent) or with_best_splits(lowest, bent)
+    short = [axis for axis in sorted(unexplained_axes(now)) if axis not in bent]
     wider = {tuple(n + (i == k) for k, n in enumerate(sizes)) for i in short}
     if len(short) > 1:
         wider.add(tuple(n + (i in short) for i, n in enumerate(sizes)))
@@ -309,7 +313,7 @@ def _begin_seen(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, .
     return (best, _as_well(best, tried)) if pays else (now, ())
 
 
-def _begin_grown(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, ...]]:
+def _begin_grown(benches: Benches, motors: int) -> tuple[FittedHypothesis, tuple[Sizes, ...]]:
     """The fit of masses added one by one, on one axis after another or all at once.
 
     Orders are compared with friction's shapes at their best: what its form leaves asks for masses too.
@@ -337,19 +341,19 @@ def _begin_grown(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, 
 
 def _contest(
     benches: Benches, hypothesis: Hypothesis, plants: Sequence[Plant], axis: int | None = None
-) -> Supposed | None:
+) -> FittedHypothesis | None:
     first = [_fit_from(benches, hypothesis, p, BRIEF) for p in plants]
     return contest([f for f in first if f is not None], axis)
 
 
-def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | None:
+def contest(pool: Sequence[FittedHypothesis], axis: int | None = None) -> FittedHypothesis | None:
     """The best of several fits, each to its end until one is home, or its chain of one axis is."""
-    best: Supposed | None = None
+    best: FittedHypothesis | None = None
     for start in sorted(pool, key=lambda f: f.total)[:GO_ON]:
         found = start.refit(target=np.inf if best is None else best.total)
         if best is None or found.total < best.total:
             best = found
-        away = astray(best)
+        away = unexplained_axes(best)
         if (not away if axis is None else axis not in away) or budget.is_left_out(FURTHER_STARTS):
             break
     return best
@@ -357,12 +361,12 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
 
 def _fit_from(
     benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int, target: float = np.inf
-) -> Supposed | None:
+) -> FittedHypothesis | None:
     """The fit of a hypothesis from a plant; none where it has no value."""
     stacks = benches[0].stacks
     timing = Timing.of_records(stacks)
     numbers = Numbers(plant, timing, first_strength(stacks, hypothesis.structure))
     try:
-        return suppose(benches, hypothesis, numbers, iterations, target)
+        return fit_hypothesis(benches, hypothesis, numbers, iterations, target)
     except np.linalg.LinAlgError:
         return None

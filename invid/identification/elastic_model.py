@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from invid.effects.units import unit_of
-from invid.identification.begun import Begun, on_all_records
-from invid.identification.contest import HOME, torque_rms
+from invid.identification.contest import NEGLIGIBLE, torque_rms
 from invid.identification.fewer_masses import fewer_masses_warnings, with_masses_seen
 from invid.identification.fitted_model import model_of
 from invid.identification.late_drives import late_drives
 from invid.identification.quantities import axis_and_element
+from invid.identification.search_start import SearchStart, on_all_records
 from invid.identification.terms import TermWriter
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import pays, price
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.worth import (
     Deletion,
     Worth,
@@ -44,12 +44,12 @@ NOISY = 2.0
 """Missing power over the sensors' from which something acts that the model does not contain."""
 
 
-def model_of_chains(begun: Begun) -> Model:
+def model_of_chains(begun: SearchStart) -> Model:
     """The model of a first fit: with the friction that pays its price, and what is to be doubted."""
     return model_of_fit(begun, *finished_fit(begun))
 
 
-def finished_fit(begun: Begun) -> tuple[Supposed, Sequence[Worth]]:
+def finished_fit(begun: SearchStart) -> tuple[FittedHypothesis, Sequence[Worth]]:
     """The fit of all records with the friction that pays its price, and what each part of it is worth."""
     now = _with_late_drives(reshape(scan_friction(begun.first)))
     now = with_masses_seen(now)
@@ -62,7 +62,7 @@ def finished_fit(begun: Begun) -> tuple[Supposed, Sequence[Worth]]:
     return end, worths
 
 
-def model_of_fit(begun: Begun, end: Supposed, worths: Sequence[Worth]) -> Model:
+def model_of_fit(begun: SearchStart, end: FittedHypothesis, worths: Sequence[Worth]) -> Model:
     """The model of a finished fit, and what is to be doubted."""
     recording = begun.recording
     model = model_of(end, _terms(end, worths, begun), recording)
@@ -85,7 +85,7 @@ def model_of_fit(begun: Begun, end: Supposed, worths: Sequence[Worth]) -> Model:
     return replace(model, fit={**fit, **doubt_facts(doubts)}, warnings=tuple(dict.fromkeys(said)))
 
 
-def _with_late_drives(now: Supposed) -> Supposed:
+def _with_late_drives(now: FittedHypothesis) -> FittedHypothesis:
     """With the delay or lag of every drive that is late, the better of the two for each."""
     while not budget.is_left_out(sentence("drives that are late")):
         late = [d for d in late_drives(now) if pays(*role_falls(d.without, d.found), price())]
@@ -95,11 +95,11 @@ def _with_late_drives(now: Supposed) -> Supposed:
     return now
 
 
-def _deletions_of(now: Supposed) -> list[Deletion]:
+def _deletions_of(now: FittedHypothesis) -> list[Deletion]:
     return [*spring_deletions(now), *friction_deletions(now), *channel_deletions(now)]
 
 
-def _terms(end: Supposed, worths: Sequence[Worth], begun: Begun) -> tuple[EffectTerm, ...]:
+def _terms(end: FittedHypothesis, worths: Sequence[Worth], begun: SearchStart) -> tuple[EffectTerm, ...]:
     """All that the fit holds besides its chains: a simulation without it would be another machine."""
     stays = {w.key for w in worths if w.stays}
     writer = TermWriter(end, begun.recording.axes, linear=begun.recording.linear)
@@ -113,12 +113,12 @@ def _terms(end: Supposed, worths: Sequence[Worth], begun: Begun) -> tuple[Effect
     return (*friction, *springs, *(writer.channel(*c) for c in writer.late_channels if c in stays))
 
 
-def _doubts(begun: Begun, end: Supposed, model: Model) -> list[Doubt]:
+def _doubts(begun: SearchStart, end: FittedHypothesis, model: Model) -> list[Doubt]:
     """Why the model is not to be relied on."""
     out = []
     share = float(model.fit["explained"])
     inner = end.inner_strength / torque_rms(end.bench)
-    if inner > (ASTRAY if share > EXPLAINED else HOME):
+    if inner > (ASTRAY if share > EXPLAINED else NEGLIGIBLE):
         strongest = next(s for v, s in end.strength if v == end.inner_strength)
         axis, element = axis_and_element(end.hypothesis.structure, strongest)
         unit = unit_of("torque", begun.recording.linear)

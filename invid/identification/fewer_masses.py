@@ -11,8 +11,8 @@ import numpy as np
 from invid.identification.contest import NUMBERS
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.price import price
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.plant import Element, Kind
 from invid.numerics import budget
 from invid.wording.sentence import sentence
@@ -21,7 +21,7 @@ LOOSE = 0.1
 """Deviation of a mass' or spring's logarithm from which on its chain may have a mass too many."""
 
 
-def expected(found: Supposed) -> float:
+def expected(found: FittedHypothesis) -> float:
     """−2 ln L after the next step, by its slope and curvature here."""
     around = found.fit.slope
     unit = np.sqrt(np.diag(around.curvature))
@@ -30,7 +30,7 @@ def expected(found: Supposed) -> float:
     return found.total - float(around.gradient @ step) * share * (2.0 - share)
 
 
-def with_masses_seen(now: Supposed) -> Supposed:
+def with_masses_seen(now: FittedHypothesis) -> FittedHypothesis:
     """The fit with each chain as short as costs no more than the price of a mass.
 
     Only where a mass or spring of a chain is loosely known may one be too many. Of two that are, one alone
@@ -50,7 +50,7 @@ def with_masses_seen(now: Supposed) -> Supposed:
     return best
 
 
-def shortened(now: Supposed, axis: int) -> Supposed | None:
+def shortened(now: FittedHypothesis, axis: int) -> FittedHypothesis | None:
     """The fit with two masses of a chain made one; none where all of them are well known."""
     structure = now.hypothesis.structure
     chain = range(structure.motor[axis], structure.load[axis] + 1)
@@ -67,7 +67,7 @@ def shortened(now: Supposed, axis: int) -> Supposed | None:
     return None if best is None else best.refit()
 
 
-def _merged(now: Supposed, axis: int, first: int) -> Supposed:
+def _merged(now: FittedHypothesis, axis: int, first: int) -> FittedHypothesis:
     """With the masses ``first`` and the next of a chain made one, not fitted."""
     structure, mass = now.hypothesis.structure, now.numbers.plant.of_kind(Kind.MASS)
     at = tuple(i - (i > first) for i in range(structure.coordinates))

@@ -11,8 +11,8 @@ from invid.effects.units import unit_of
 from invid.identification.identifiability import blind_directions
 from invid.identification.missing_torque import AxisMissing, axis_missing
 from invid.identification.open_holds import open_masses
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.shapes import curvature
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
@@ -33,7 +33,7 @@ KNOWN = 0.5
 """Deviation of its delay over that of the prior from which the records do not tell it."""
 
 
-def chains_of(end: Supposed, axes: tuple[str, ...]) -> tuple[CoupledChains, dict[str, int]]:
+def chains_of(end: FittedHypothesis, axes: tuple[str, ...]) -> tuple[CoupledChains, dict[str, int]]:
     """The chains, and where each parameter's name stands among the plant's numbers."""
     plant, structure = end.numbers.plant, end.hypothesis.structure
     masses, springs, dampers = (plant.of_kind(k) for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER))
@@ -68,7 +68,7 @@ def plant_of(chains: CoupledChains) -> Plant:
 
 
 def chains_covariance(
-    end: Supposed, axes: tuple[str, ...], open_part: Float64
+    end: FittedHypothesis, axes: tuple[str, ...], open_part: Float64
 ) -> tuple[CoupledChains, Float64]:
     """The chains, and the covariance (n, n) of their parameters in the order of ``parameter_vector``.
 
@@ -85,7 +85,7 @@ def chains_covariance(
     return built, covariance[np.ix_(index, index)]
 
 
-def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recording) -> Model:
+def model_of(end: FittedHypothesis, effects: tuple[EffectTerm, ...], recording: Recording) -> Model:
     """The chains with their covariance, the causes, and what the data do not tell."""
     axes, open_part = recording.axes, open_masses(end)
     built, covariance = chains_covariance(end, axes, open_part)
@@ -159,7 +159,7 @@ def _short_experiments(recording: Recording) -> list[Doubt]:
     ][:1]
 
 
-def _unmoved_motors(end: Supposed, recording: Recording) -> list[Doubt]:
+def _unmoved_motors(end: FittedHypothesis, recording: Recording) -> list[Doubt]:
     """The doubt about a torque that acts on everything but the motor's own mass, as one measured behind the
     spring does."""
     plant, structure = end.numbers.plant, end.hypothesis.structure
@@ -196,7 +196,7 @@ def _band(recording: Recording) -> tuple[float, float]:
     return min(float(f.min()) for f in lines), max(float(f.max()) for f in lines)
 
 
-def _facts(end: Supposed, axes: tuple[str, ...], left: AxisMissing) -> dict[str, Any]:
+def _facts(end: FittedHypothesis, axes: tuple[str, ...], left: AxisMissing) -> dict[str, Any]:
     """How well the model fits: by its own noise, by the sensors' alone, and of the torque."""
     value = end.fit.value
     rows = [w.missing + w.laws @ value.coefficients for w in value.work]
@@ -217,14 +217,14 @@ def _facts(end: Supposed, axes: tuple[str, ...], left: AxisMissing) -> dict[str,
     }
 
 
-def _at_motors(end: Supposed) -> Float64:
+def _at_motors(end: FittedHypothesis) -> Float64:
     motors = end.hypothesis.structure.motors
     number = end.fit.problem.spots.number
     rms = {number[s]: v for v, s in end.strength}
     return np.array([rms[k] for k in range(motors)])
 
 
-def _timing(end: Supposed, axes: tuple[str, ...]) -> dict[str, Any]:
+def _timing(end: FittedHypothesis, axes: tuple[str, ...]) -> dict[str, Any]:
     """Sampling offset of each axis' torque, and the lag of what is shown of it behind what acts [s]."""
     timing, motors = end.numbers.timing, len(axes)
     first = end.numbers.plant.x.size
@@ -245,7 +245,7 @@ def _timing(end: Supposed, axes: tuple[str, ...]) -> dict[str, Any]:
     return {"time_offset_s": offsets, "torque_lag_s": lags}
 
 
-def hold_warnings(end: Supposed, open_part: Float64, recording: Recording) -> list[str]:
+def hold_warnings(end: FittedHypothesis, open_part: Float64, recording: Recording) -> list[str]:
     """What holds that work while their axis is driven leave open: when they act."""
     timing, first = end.numbers.timing, end.numbers.plant.x.size
     motors, unit = timing.motors, unit_of("damping", recording.linear)
@@ -282,7 +282,7 @@ def hold_warnings(end: Supposed, open_part: Float64, recording: Recording) -> li
     return out
 
 
-def _lag_warnings(end: Supposed, axes: tuple[str, ...]) -> list[str]:
+def _lag_warnings(end: FittedHypothesis, axes: tuple[str, ...]) -> list[str]:
     """Channels that low-pass what they record of the torque."""
     return [
         sentence(

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from invid.errors import InputError, NotIdentifiableError
-from invid.identification.begun import Begun, begin_elastic
 from invid.identification.elastic_model import model_of_chains
 from invid.identification.machine_kind import machine_kind, rigid_model
 from invid.identification.paper_model import paper_model
+from invid.identification.search_start import SearchStart, begin_elastic
 from invid.identification.stated_inertia import against_stated
 from invid.model.document import Model
 from invid.numerics import budget
@@ -85,7 +85,7 @@ def _identify_kind(recording: Recording, masses: Masses, method: Method) -> Mode
     return replace(model, warnings=(*model.warnings, kind.sentence)) if kind.sentence else model
 
 
-def _begin(recording: Recording, sizes: tuple[int, ...] | None) -> Begun:
+def _begin(recording: Recording, sizes: tuple[int, ...] | None) -> SearchStart:
     check_shaken(recording)
     # Not even holds are read, or starts, from what is for validation.
     own = tuple(e for e in recording.experiments if e.role is Role.IDENTIFY)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.likelihood.unknown_forces.background import Background, bounded_fall
+from invid.likelihood.unknown_forces.fitted_hypothesis import Channel, FittedHypothesis
 from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.slope import whitened_rows
-from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import CONVENTION
 from invid.numerics.arrays import Float64
 
@@ -25,11 +25,11 @@ class LateDrive:
 
     channel: Channel
     axis: int
-    found: Supposed
-    without: Supposed
+    found: FittedHypothesis
+    without: FittedHypothesis
 
 
-def lag_rows(now: Supposed, axis: int, lag: float) -> list[Float64]:
+def lag_rows(now: FittedHypothesis, axis: int, lag: float) -> list[Float64]:
     """(rows, 1) whitened rows of each stack by the logarithm of a drive's lag [samples], where delays and
     lags add up."""
     out = []
@@ -42,7 +42,7 @@ def lag_rows(now: Supposed, axis: int, lag: float) -> list[Float64]:
     return out
 
 
-def late_drives(now: Supposed) -> list[LateDrive]:
+def late_drives(now: FittedHypothesis) -> list[LateDrive]:
     """Axes whose torque acts late by more than a sample, or where a lag may pay its price, each with a delay
     and with a lag: the delay alone of a lag of two samples is within conventions."""
     out = []

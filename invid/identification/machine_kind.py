@@ -13,8 +13,8 @@ from functools import cache, partial
 import numpy as np
 
 from invid.errors import InvidError
-from invid.identification.begun import Begun
 from invid.identification.contest import FURTHER_MASSES
+from invid.identification.search_start import SearchStart
 from invid.model.document import MISSED, Model
 from invid.model.doubts import Doubt, DoubtCode
 from invid.numerics import budget
@@ -69,7 +69,10 @@ class Tried:
 
 
 def machine_kind(
-    recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Begun], share: float = 1.0
+    recording: Recording,
+    masses: Sequence[int] | str | None,
+    chains: Callable[[], SearchStart],
+    share: float = 1.0,
 ) -> MachineKind:
     """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested.
 

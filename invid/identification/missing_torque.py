@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.value import Value, missing_torque
 from invid.numerics.arrays import Float64
 
@@ -23,7 +23,7 @@ class AxisMissing:
     torque: Float64
 
 
-def axis_missing(found: Supposed) -> AxisMissing:
+def axis_missing(found: FittedHypothesis) -> AxisMissing:
     """On the records kept out, else on those fitted: rms over the informative lines, on which torque stands
     above the sensors, and not those where the plant multiplies the encoders' noise; torque over all."""
     value: Value = found.kept_value or found.fit.value
@@ -42,7 +42,7 @@ def axis_missing(found: Supposed) -> AxisMissing:
     return AxisMissing(*np.sqrt(sums / (2.0 * count)))
 
 
-def missed_share(found: Supposed) -> float:
+def missed_share(found: FittedHypothesis) -> float:
     """Rms share of the torque that is missing beyond the sensors' noise, of the worst axis."""
     at = axis_missing(found)
     left = np.maximum(at.missing**2 - at.floor**2, 0.0) / np.maximum(at.torque**2, 1e-300)

@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from invid.identification.quantities import Quantities
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.plant import Kind
 from invid.numerics.arrays import Float64
 
 
-def open_masses(end: Supposed) -> Float64:
+def open_masses(end: FittedHypothesis) -> Float64:
     """(M,) mass of each motor that its hold leaves open.
 
     P is as stated, or bounded by the friction that it makes; D is damped near critically, 2·√(P·S) with S the
@@ -44,7 +44,7 @@ def open_masses(end: Supposed) -> Float64:
     return out
 
 
-def _friction(end: Supposed, motor: int) -> float:
+def _friction(end: FittedHypothesis, motor: int) -> float:
     """Viscous friction of a motor and one standard deviation of it: what a hold can have made of it."""
     known = Quantities.of(end)
     at = known.coefficient((Part.VISCOUS, motor))

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from invid.effects.units import unit_of
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.smoother import smooth
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import Unexplained
 from invid.model.plant import Plant
 from invid.numerics.arrays import Bool, Complex128, Float64
@@ -37,7 +37,7 @@ class AxisTones:
         return sum(0.5 * t.amplitude**2 for t in self.tones)
 
 
-def tones_of(found: Supposed) -> list[AxisTones]:
+def tones_of(found: FittedHypothesis) -> list[AxisTones]:
     """Axes whose missing torque holds a tone in all records of two periods and more, the strongest first."""
     by_axis: dict[int, list[tuple[list[Tone], float]]] = {}
     own_hz = _own_frequencies(found.numbers.plant)
@@ -61,7 +61,7 @@ def _own_frequencies(plant: Plant) -> Float64:
     return out
 
 
-def changes_within(found: Supposed) -> bool:
+def changes_within(found: FittedHypothesis) -> bool:
     """Return whether a record misses torque between the lines of its period far above its sensors: the
     machine is another one from one period to the next."""
     return any(
@@ -70,7 +70,7 @@ def changes_within(found: Supposed) -> bool:
     )
 
 
-def _between_periods(found: Supposed) -> Iterator[tuple[Record, Complex128, Float64, Bool]]:
+def _between_periods(found: FittedHypothesis) -> Iterator[tuple[Record, Complex128, Float64, Bool]]:
     """Records of two periods and more, missing torque (A, M), power of the sensors (A, M), and which lines
     (A,) of the band lie between those of the period."""
     for smoothed in smooth(found.fit.problem, found.fit.value):

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.identification.begun import Begun
 from invid.identification.elastic_model import finished_fit, model_of_fit
 from invid.identification.fitted_model import chains_of
+from invid.identification.search_start import SearchStart
 from invid.inverse import PaperResult, Readings, identify_paper
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.value import StackWork, real_rows
 from invid.model.document import Model, parameter_vector, std_by_name, stds_by_name
 from invid.numerics.arrays import Float64, frozen_float
 
 
-def paper_model(begun: Begun) -> Model:
+def paper_model(begun: SearchStart) -> Model:
     """The fitted model with masses, springs and couplings by the paper's inverse; ``fit["refined"]`` has the
     estimates beside them.
 
@@ -45,7 +45,7 @@ def paper_model(begun: Begun) -> Model:
     )
 
 
-def _read(end: Supposed, axes: tuple[str, ...]) -> PaperResult:
+def _read(end: FittedHypothesis, axes: tuple[str, ...]) -> PaperResult:
     """Readings by least squares on what the records miss, laws free beside them, and the paper's inverse."""
     readings, value = Readings.of(chains_of(end, axes)[0]), end.fit.value
     rows = [_rows(readings, work) for work in value.work]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.shapes import Curvature, curvature
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.document import Estimate
 from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
@@ -22,11 +22,11 @@ STEP = 1e-4
 class Quantities:
     """Everything that a fit has found as one vector with its covariance, looked up by name."""
 
-    now: Supposed
+    now: FittedHypothesis
     around: Curvature
 
     @classmethod
-    def of(cls, now: Supposed) -> Quantities:
+    def of(cls, now: FittedHypothesis) -> Quantities:
         """At a fit."""
         return cls(now, curvature(now))
 

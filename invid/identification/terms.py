@@ -11,8 +11,8 @@ import numpy as np
 from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.identification.quantities import Quantities, axis_and_element
+from invid.likelihood.unknown_forces.fitted_hypothesis import Channel, FittedHypothesis
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.worth import FRICTION
 from invid.model.document import EffectTerm
@@ -28,7 +28,7 @@ Sizes = dict[str, tuple[Callable[[Float64], float], list[int | None]]]
 class TermWriter:
     """Terms of one fitted hypothesis."""
 
-    def __init__(self, now: Supposed, axes: Sequence[str], *, linear: bool) -> None:
+    def __init__(self, now: FittedHypothesis, axes: Sequence[str], *, linear: bool) -> None:
         self.now, self.axes, self.linear = now, tuple(axes), linear
         self.known = Quantities.of(now)
         self.structure = now.hypothesis.structure
@@ -79,12 +79,12 @@ class TermWriter:
         return replace(term, parameters={"torque": replace(known, std=float(np.hypot(known.std, bend)))})
 
     @staticmethod
-    def _coefficient(now: Supposed, motor: int) -> float:
+    def _coefficient(now: FittedHypothesis, motor: int) -> float:
         names = [c.name for c in now.fit.problem.columns]
         return float(now.fit.value.coefficients[names.index((Part.DRY, motor))])
 
     @cached_property
-    def _with_viscous(self) -> Supposed:
+    def _with_viscous(self) -> FittedHypothesis:
         """The fit with every motor's viscous friction in it."""
         was = self.now.hypothesis
         gone = {(Part.VISCOUS, m) for m in range(self.structure.motors)}

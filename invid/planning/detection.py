@@ -18,8 +18,8 @@ from invid.diagnosis.unknown_forces.scoring import spot_at
 from invid.effects.registry import effects
 from invid.effects.units import unit_of
 from invid.identification.fitted_model import chains_of
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.place import Place
 from invid.model.plant import Structure
 from invid.planning.belief import Belief
@@ -66,7 +66,7 @@ def detection_limits(
     return limits_at(config, *fit_about(config, experiments, belief, noise))
 
 
-def limits_at(config: CellConfig, now: Supposed, recording: Recording) -> tuple[DetectionLimit, ...]:
+def limits_at(config: CellConfig, now: FittedHypothesis, recording: Recording) -> tuple[DetectionLimit, ...]:
     """Limits of dry and viscous friction of each motor, free play of its springs and a mode on its load, in a
     recording that ``now`` fits.
 
@@ -104,7 +104,7 @@ def _unit(cause: str, linear: bool) -> str:
     return unit_of(effect.parameters["mass" if "mass" in effect.parameters else effect.main], linear)
 
 
-def _of_friction(now: Supposed, screen: Screen, key: tuple[Part, int], parameter: str) -> float:
+def _of_friction(now: FittedHypothesis, screen: Screen, key: tuple[Part, int], parameter: str) -> float:
     """Limit of a part of a motor's friction that the fit holds already: as if it were not there. An axis that
     stands still has none in its fit."""
     if key in now.hypothesis.absent:

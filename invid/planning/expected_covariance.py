@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from invid.config import CellConfig
-from invid.identification.begun import settled_about
 from invid.identification.fitted_model import chains_covariance
 from invid.identification.open_holds import open_masses
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.identification.search_start import settled_about
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.model.chains import CoupledChains
 from invid.model.document import finite_or_none, parameter_vector
 from invid.numerics.arrays import Bool, Float64, frozen_float
@@ -163,7 +163,7 @@ def expected(
 
 def fit_about(
     config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief, noise: Noise
-) -> tuple[Supposed, Recording]:
+) -> tuple[FittedHypothesis, Recording]:
     """The fit about the believed plant of what planned experiments would record, and that recording.
 
     Slow moves are left out: they show no elasticity.

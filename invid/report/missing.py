@@ -14,9 +14,9 @@ import numpy as np
 from invid.effects import curve as laws
 from invid.effects.elements import ModelPlace
 from invid.effects.registry import effect_of
-from invid.identification.begun import settled_about
 from invid.identification.fitted_model import plant_of
 from invid.identification.kept_out import all_records
+from invid.identification.search_start import settled_about
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.model.chains import CoupledChains

@@ -34,6 +34,7 @@ def test_a_linear_chain_that_mujoco_simulates_is_consistent(tmp_path: Path) -> N
         ("plastic", 4, (2,), {"spring_hysteresis"}, "spring 1"),
         ("delay", 4, (2,), {"torque_delay", "torque_lag"}, None),
         ("cubic", 4, (2,), {"cubic_stiffness"}, "spring 1"),
+        ("mode", 4, (2, 3), {"extra_mode"}, "mass 2"),
     ],
 )
 def test_what_stands_20_db_out_in_mujoco_is_named_at_its_place(
@@ -50,3 +51,12 @@ def test_what_stands_20_db_out_in_mujoco_is_named_at_its_place(
             sure_and_wrong.append(f)
     assert right
     assert not sure_and_wrong
+
+
+def test_a_load_s_mode_is_no_base_whose_stiffness_nothing_tells(tmp_path: Path) -> None:
+    """It was one at 0.999, of 143 kN·m/rad, give or take 362."""
+    cell = drawn(640010)
+    write(cell, measured(cell), tmp_path / "rec.h5")
+    named = {(f.cause, f.axis) for f in invid.diagnose(invid.read_recording(tmp_path / "rec.h5")).findings}
+    assert ("extra_mode", "R1") in named
+    assert "base_compliance" not in {cause for cause, _ in named}

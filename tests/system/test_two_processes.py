@@ -112,7 +112,7 @@ def recording_begun(folder: Path, *options: str) -> subprocess.Popen[str]:
     """A measurement whose recording has begun.
 
     A machine that holds a process up for a tenth of a second may be stopped for safety in the trials: that is
-    right, and not what these tests ask for. Begun again then, three times at most.
+    right, and not what these tests ask for. SearchStart again then, three times at most.
     """
     for attempt in range(3):
         process = start("measure", "cell.yaml", "-o", "run.h5", *options, folder=folder)

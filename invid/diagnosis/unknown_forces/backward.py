@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import partial
 
 from invid.diagnosis.unknown_forces.structures import Addition, additions_of, without
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.motions import PlacedLaw
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.worth import (
     Deletion,
     channel_deletions,
@@ -16,7 +16,7 @@ from invid.likelihood.unknown_forces.worth import (
 )
 
 
-def deletions_of(now: Supposed) -> list[Deletion]:
+def deletions_of(now: FittedHypothesis) -> list[Deletion]:
     """Every law, spring between loads, part of friction, channel, mode and base."""
     structure = now.hypothesis.structure
     return [
@@ -31,11 +31,11 @@ def deletions_of(now: Supposed) -> list[Deletion]:
     ]
 
 
-def _without_law(now: Supposed, placed: PlacedLaw) -> Supposed:
+def _without_law(now: FittedHypothesis, placed: PlacedLaw) -> FittedHypothesis:
     laws = tuple(p for p in now.hypothesis.laws if p.key != placed.key)
     return now.refit(replace(now.hypothesis, laws=laws))
 
 
-def _without_addition(now: Supposed, own: Addition) -> Supposed:
+def _without_addition(now: FittedHypothesis, own: Addition) -> FittedHypothesis:
     # A structure that was taken out leaves places whose motion no fit has said.
     return without(now, own).renewed()

@@ -30,15 +30,15 @@ from invid.diagnosis.unknown_forces.unexplained import describe_left
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.units import unit_of
-from invid.identification.begun import Begun
 from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.fitted_model import model_of
 from invid.identification.missing_torque import AxisMissing, axis_missing
 from invid.identification.own_time import AxisTones, describe_tones
+from invid.identification.search_start import SearchStart
 from invid.likelihood.unknown_forces.descent import Ended
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Unexplained, Verdict
 from invid.model.document import EffectTerm, model_to_json
 from invid.model.doubts import DoubtCode, doubts_of
@@ -66,7 +66,7 @@ class NamedTerm:
     rise: float
 
 
-def diagnose_elastic(begun: Begun) -> Diagnosis:
+def diagnose_elastic(begun: SearchStart) -> Diagnosis:
     """What the chains get wrong on a recording, in the contract's terms."""
     recording, found = begun.recording, search_elastic(begun)
     before, after, residual = _missing(found)
@@ -198,7 +198,7 @@ def _with_table(found: ElasticSearch, placed: PlacedLaw, term: EffectTerm) -> Ef
     return replace(term, table=placed.law.law.table(value, covariance, linear=found.recording.linear))
 
 
-def _hold_doubts(end: Supposed, key: Hashable, axes: Sequence[str]) -> list[str]:
+def _hold_doubts(end: FittedHypothesis, key: Hashable, axes: Sequence[str]) -> list[str]:
     """What is said of viscous friction of a motor that an unknown hold works on while it is driven."""
     if not isinstance(key, tuple) or key[0] is not Part.VISCOUS:
         return []

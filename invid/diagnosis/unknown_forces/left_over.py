@@ -9,11 +9,11 @@ import numpy as np
 from invid.effects.units import unit_of
 from invid.identification.quantities import axis_and_element
 from invid.likelihood.unknown_forces.descent import Fit, fit
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import axis_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import PLACES, price_at_motors
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.worth import Worth
 from invid.model.diagnosis_document import ForceAt
 from invid.model.plant import Structure
@@ -46,7 +46,7 @@ class PlaceForce:
         return self.rise > SURE and self.rms > IMPERFECT * self.before
 
 
-def is_of_shapes(worth: Worth, end: Supposed, bare: Supposed) -> bool:
+def is_of_shapes(worth: Worth, end: FittedHypothesis, bare: FittedHypothesis) -> bool:
     """Whether what a cause takes is no more, on any axis, than what the laws of the others may leave there
     since they are not quite the machine's. Friction is expected on every motor, and never such.
 
@@ -66,7 +66,7 @@ def is_of_shapes(worth: Worth, end: Supposed, bare: Supposed) -> bool:
     return bool(worth.left) and bool((taken <= (IMPERFECT * acts) ** 2).all())
 
 
-def _closed(found: Supposed, spot: Spot) -> Fit:
+def _closed(found: FittedHypothesis, spot: Spot) -> Fit:
     """The fit with no unknown force at a place, given up where something is sure to act there."""
     problem = found.fit.problem
     number = problem.spots.number[spot]
@@ -78,7 +78,7 @@ def _closed(found: Supposed, spot: Spot) -> Fit:
     return without
 
 
-def place_forces(found: Supposed, bare: Supposed) -> tuple[PlaceForce, ...]:
+def place_forces(found: FittedHypothesis, bare: FittedHypothesis) -> tuple[PlaceForce, ...]:
     """The strongest unknown forces, each with what its absence costs; BudgetSpent where none is told.
 
     ``bare``: the plant without causes.
@@ -101,7 +101,7 @@ def place_of(structure: Structure, spot: Spot) -> Place:
     return (*axis_and_element(structure, spot), None)
 
 
-def forces_at(bare: Supposed, end: Supposed, recording: Recording) -> tuple[ForceAt, ...]:
+def forces_at(bare: FittedHypothesis, end: FittedHypothesis, recording: Recording) -> tuple[ForceAt, ...]:
     """The force at every place that is in no law, without causes and with them, the largest left first."""
     before = {place_of(bare.hypothesis.structure, s): rms for rms, s in bare.strength}
     unit, axes = unit_of("torque", recording.linear), recording.axes

@@ -32,12 +32,12 @@ from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.identification.late_drives import LAGS, lag_rows
 from invid.likelihood.unknown_forces.descent import fit
+from invid.likelihood.unknown_forces.fitted_hypothesis import Channel, FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot, Where, colours
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import FITTED, KEPT, PARTS, price, price_at_motors
 from invid.likelihood.unknown_forces.slope import inner_motion
-from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, CONVENTION, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.value import Value
 from invid.likelihood.unknown_forces.worth import FRICTION
@@ -164,7 +164,7 @@ def _limits(effect: Effect, place: Place, screen: Screen) -> Iterator[Limit | No
 class Screen:
     """The final fit: what a torque put into its rows would have gained."""
 
-    def __init__(self, end: Supposed, recording: Recording) -> None:
+    def __init__(self, end: FittedHypothesis, recording: Recording) -> None:
         self.end, self.recording = end, recording
         self.structure = end.hypothesis.structure
         self.rows = Rows(end)

@@ -10,15 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from invid.diagnosis.unknown_forces.backward import deletions_of
+from invid.diagnosis.unknown_forces.cause_search import SearchEnd, search_causes
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_forces
 from invid.diagnosis.unknown_forces.nameless import add_laws
-from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
 from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.effects.supposed_laws import supposed_laws
-from invid.identification.begun import Begun
 from invid.identification.fewer_masses import with_masses_seen
 from invid.identification.quantities import axis_and_element
-from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.identification.search_start import SearchStart
+from invid.likelihood.unknown_forces.fitted_hypothesis import Channel, FittedHypothesis
 from invid.likelihood.unknown_forces.worth import Worth, prune, without_loose_springs
 from invid.numerics import budget
 from invid.recording.model import Recording
@@ -39,27 +39,27 @@ class ElasticSearch:
     """
 
     recording: Recording
-    pursued: Pursued
-    end: Supposed
+    pursued: SearchEnd
+    end: FittedHypothesis
     worths: tuple[Worth, ...]
-    bare: Supposed
-    named: Supposed
+    bare: FittedHypothesis
+    named: FittedHypothesis
     forces: tuple[PlaceForce, ...]
     forces_named: tuple[PlaceForce, ...]
     is_cut_short: bool = False
 
 
-def search_elastic(begun: Begun) -> ElasticSearch:
+def search_elastic(begun: SearchStart) -> ElasticSearch:
     """The search over causes on the records for fitting, judged on those kept out."""
     recording = begun.recording
 
-    def tell(now: Supposed, share: float) -> None:
+    def tell(now: FittedHypothesis, share: float) -> None:
         budget.tell_found(found_so_far(now, recording.axes))
         budget.tell("looking for causes", share)
 
     with budget.use_share(TIME_TO_PURSUE, 0.3, 0.75):
         laws = supposed_laws(linear=recording.linear)
-        pursued = pursue(begun.first, laws, tell=tell, growing=begun.declared is None)
+        pursued = search_causes(begun.first, laws, tell=tell, growing=begun.declared is None)
     is_cut_short = budget.FURTHER_CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
@@ -81,13 +81,13 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
-def found_so_far(now: Supposed, axes: Sequence[str]) -> list[budget.Found]:
+def found_so_far(now: FittedHypothesis, axes: Sequence[str]) -> list[budget.Found]:
     """The laws of a hypothesis at their places, for whoever waits."""
     places = ((p.law.cause, axis_and_element(now.hypothesis.structure, p.spot)) for p in now.hypothesis.laws)
     return [budget.Found(cause, axes[axis], None, element) for cause, (axis, element) in places]
 
 
-def without_causes(now: Supposed) -> Supposed:
+def without_causes(now: FittedHypothesis) -> FittedHypothesis:
     """The plant alone, fitted to the same records."""
     for addition in additions_of(now.hypothesis.structure):
         now = without(now, addition)

@@ -21,12 +21,12 @@ from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, is_known, is_l
 from invid.effects.motion_effect import OF_RATE, PAIRS
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.identification.missing_torque import axis_missing
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis, Hypothesis
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import NUMBER, pays, price
 from invid.likelihood.unknown_forces.shapes import curvature
-from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed
 from invid.likelihood.unknown_forces.worth import role_falls
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
@@ -50,7 +50,7 @@ class Choice:
     worth: float
 
 
-def add_laws(now: Supposed, forces: Sequence[PlaceForce]) -> Supposed | None:
+def add_laws(now: FittedHypothesis, forces: Sequence[PlaceForce]) -> FittedHypothesis | None:
     """The fit with a law at one place of each axis on which something is sure to act, and for viscous
     friction that is none; ``None``: none."""
     start, structure = now, now.hypothesis.structure
@@ -63,7 +63,7 @@ def add_laws(now: Supposed, forces: Sequence[PlaceForce]) -> Supposed | None:
     return None if now is start else now
 
 
-def drag(now: Supposed, motor: int) -> PlacedLaw:
+def drag(now: FittedHypothesis, motor: int) -> PlacedLaw:
     """Resistance v·|v| of a motor, of which viscous friction is the mean at one amplitude."""
     spot = Spot(Where.MOTOR, motor)
     knots = knots_of([m.velocity for m in now.motions.flat(spot)]) or [-1.0, 1.0]
@@ -71,7 +71,7 @@ def drag(now: Supposed, motor: int) -> PlacedLaw:
     return PlacedLaw(SmoothLaw(EmpiricalLaw("velocity", knots, square)), spot)
 
 
-def _drag_for_damper(now: Supposed, motor: int) -> Supposed:
+def _drag_for_damper(now: FittedHypothesis, motor: int) -> FittedHypothesis:
     """The fit with a drag for a motor's viscous friction, where it is better by more than chance."""
     key, placed = (Part.VISCOUS, motor), drag(now, motor)
     names = [c.name for c in now.fit.problem.columns]
@@ -84,7 +84,7 @@ def _drag_for_damper(now: Supposed, motor: int) -> Supposed:
     return found if sum(role_falls(now, found)) > COMPETES else now
 
 
-def _law_on(now: Supposed, axis: int) -> Supposed | None:
+def _law_on(now: FittedHypothesis, axis: int) -> FittedHypothesis | None:
     """The fit with the law that takes most on an axis; ``None`` where none is sure or takes enough."""
     curves = [over for spot_kind in (AT_MASS, AT_SPRING) for over in spot_kind]
     best = _best(now, _choices(now, axis, [(over, "") for over in curves]))
@@ -96,7 +96,7 @@ def _law_on(now: Supposed, axis: int) -> Supposed | None:
     return wider if best is None or wider.total + SIMPLER < best.total else best
 
 
-def _choices(now: Supposed, axis: int, quantities: Sequence[tuple[str, str]]) -> list[Choice]:
+def _choices(now: FittedHypothesis, axis: int, quantities: Sequence[tuple[str, str]]) -> list[Choice]:
     """Laws over these quantities at every place of an axis, the best first."""
     structure, out = now.hypothesis.structure, []
     for over, across in quantities:
@@ -115,7 +115,7 @@ def _choices(now: Supposed, axis: int, quantities: Sequence[tuple[str, str]]) ->
     return sorted(out, key=lambda c: -c.worth)
 
 
-def _instead(now: Supposed, spot: Spot, over: str) -> Hypothesis | None:
+def _instead(now: FittedHypothesis, spot: Spot, over: str) -> Hypothesis | None:
     """The hypothesis without what a law over this quantity at a place may stand for; ``None`` where there is
     no such cause."""
     was = now.hypothesis
@@ -171,7 +171,7 @@ def _is_undone(felt: Float64, straight: Float64, law: Float64) -> Bool:
     return out
 
 
-def _best(now: Supposed, choices: Sequence[Choice]) -> Supposed | None:
+def _best(now: FittedHypothesis, choices: Sequence[Choice]) -> FittedHypothesis | None:
     """The fit with the best of the leading laws, its shapes at their best, where it pays the price of a cause
     and is known; else ``None``."""
     found = [_first_fit(now, c.placed) for c in choices[:FITTED]]
@@ -182,7 +182,7 @@ def _best(now: Supposed, choices: Sequence[Choice]) -> Supposed | None:
     return None
 
 
-def _first_fit(now: Supposed, placed: PlacedLaw) -> tuple[Supposed, Hypothesis]:
+def _first_fit(now: FittedHypothesis, placed: PlacedLaw) -> tuple[FittedHypothesis, Hypothesis]:
     """The fit with a law, or with the law instead of what it may stand for where it does as well; and the
     hypothesis without the law."""
     law, beside = placed.law, _with_law(now, now.hypothesis, placed)
@@ -193,7 +193,7 @@ def _first_fit(now: Supposed, placed: PlacedLaw) -> tuple[Supposed, Hypothesis]:
     return (alone, instead) if alone.total < beside.total + SIMPLER else (beside, now.hypothesis)
 
 
-def _shaped(best: Supposed, base: Hypothesis) -> Supposed:
+def _shaped(best: FittedHypothesis, base: Hypothesis) -> FittedHypothesis:
     """A fit with a law beside ``base``, its shapes chosen anew from where it ends while that is better."""
     placed = best.hypothesis.laws[-1]
     for _ in range(ROUNDS):
@@ -212,17 +212,17 @@ def _shaped(best: Supposed, base: Hypothesis) -> Supposed:
     return best
 
 
-def _with_law(now: Supposed, base: Hypothesis, placed: PlacedLaw) -> Supposed:
+def _with_law(now: FittedHypothesis, base: Hypothesis, placed: PlacedLaw) -> FittedHypothesis:
     found = now.refit(replace(base, laws=(*base.laws, placed)))
     return found if placed.spot.where is Where.MOTOR else found.renewed()
 
 
-def _is_at_noise(found: Supposed, axis: int) -> bool:
+def _is_at_noise(found: FittedHypothesis, axis: int) -> bool:
     left = axis_missing(found)
     return bool(left.missing[axis] <= FLOOR * left.floor[axis])
 
 
-def _takes_nearly_all(now: Supposed, found: Supposed, axis: int) -> bool:
+def _takes_nearly_all(now: FittedHypothesis, found: FittedHypothesis, axis: int) -> bool:
     """Whether a law brings its axis to the noise, or takes nine tenths of what is missing there on records
     kept out: what takes less may be a part of any law."""
     before, after = axis_missing(now), axis_missing(found)
@@ -231,7 +231,7 @@ def _takes_nearly_all(now: Supposed, found: Supposed, axis: int) -> bool:
     return _is_at_noise(found, axis) or bool(left <= (1.0 - EXPLAINED) * whole)
 
 
-def _is_law_known(found: Supposed) -> bool:
+def _is_law_known(found: FittedHypothesis) -> bool:
     """Whether the last law stands out of three deviations of it somewhere in the motion."""
     placed = found.hypothesis.laws[-1]
     value, covariance = coefficients_of(found, placed)
@@ -239,7 +239,7 @@ def _is_law_known(found: Supposed) -> bool:
     return is_known(waves, value, covariance)
 
 
-def coefficients_of(found: Supposed, placed: PlacedLaw) -> tuple[Float64, Float64]:
+def coefficients_of(found: FittedHypothesis, placed: PlacedLaw) -> tuple[Float64, Float64]:
     """(k,) sizes of a law's shapes and their (k, k) covariance."""
     known = curvature(found)
     names = [c.name for c in found.fit.problem.columns]

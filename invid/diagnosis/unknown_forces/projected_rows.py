@@ -7,16 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.value import along
 from invid.numerics.arrays import Complex128, Float64
 
 
-def law_rows(now: Supposed, placed: PlacedLaw) -> list[Float64]:
+def law_rows(now: FittedHypothesis, placed: PlacedLaw) -> list[Float64]:
     """(rows, k) whitened rows of a law in each stack, one column a coefficient of one: of a force at its
     place, of what its motor's reading errs by, or of the torque that it scales."""
     lines = now.bench.law_lines(placed, now.motions, quick=True)
@@ -34,7 +34,7 @@ def law_rows(now: Supposed, placed: PlacedLaw) -> list[Float64]:
     return out
 
 
-def scale_rows(now: Supposed, spot: Spot) -> list[Float64]:
+def scale_rows(now: FittedHypothesis, spot: Spot) -> list[Float64]:
     """(rows, 1) whitened rows in each stack of a motor's reading that is taken for another scale."""
     number = spot.number
     return [
@@ -50,7 +50,7 @@ def scale_rows(now: Supposed, spot: Spot) -> list[Float64]:
 class Rows:
     """Rows at a fit, those of the weak prior of its numbers at the end."""
 
-    now: Supposed
+    now: FittedHypothesis
 
     @cached_property
     def moved(self) -> Float64:

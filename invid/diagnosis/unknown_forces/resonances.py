@@ -14,8 +14,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from invid.likelihood.unknown_forces.background import Background
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.slope import inner_motion, solve_scaled, whitened_rows
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.numerics.arrays import Complex128, Float64
 
 BAND, SPACING, DAMPING = (0.04, 1.6), 1.06, 0.03
@@ -43,7 +43,7 @@ class Resonance:
 class Scan:
     """Everything else of a fit projected out, strengths as they are."""
 
-    def __init__(self, now: Supposed) -> None:
+    def __init__(self, now: FittedHypothesis) -> None:
         structure = now.hypothesis.structure
         self.work = now.fit.value.work
         self.loads: list[Place] = [*combinations_with_replacement(structure.load, 2)]
@@ -104,12 +104,12 @@ def mode_answer(omega: Float64, own: float, damping: float) -> Complex128:
     return out
 
 
-def top(now: Supposed) -> float:
+def top(now: FittedHypothesis) -> float:
     """Highest excited frequency [rad/s]."""
     return 2 * np.pi * max(r.top_hz for s in now.bench.stacks for r in s.records)
 
 
-def _seen(now: Supposed, number: int, places: Sequence[Place]) -> Complex128:
+def _seen(now: FittedHypothesis, number: int, places: Sequence[Place]) -> Complex128:
     """(R, F, M, P) change of the missing torque by a unit resistance at each place, of one stack."""
     motion = now.fit.value.work[number].condensed.motion
     moved = inner_motion(now.fit.problem, now.fit.value, number)

@@ -9,10 +9,10 @@ import numpy as np
 
 from invid.diagnosis.outcome import share_among_rivals
 from invid.diagnosis.thresholds import COMPETES, EXPLAINED
+from invid.diagnosis.unknown_forces.cause_search import SearchEnd, is_sound
 from invid.diagnosis.unknown_forces.left_over import PlaceForce
 from invid.diagnosis.unknown_forces.nameless import drag
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound
 from invid.diagnosis.unknown_forces.scoring import column_fall, score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
 from invid.effects.catalogue.asymmetric_friction import AsymmetricFriction
@@ -22,12 +22,12 @@ from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.identification.missing_torque import axis_missing
 from invid.identification.quantities import axis_and_element
+from invid.likelihood.unknown_forces.fitted_hypothesis import Channel, FittedHypothesis, Hypothesis
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import NUMBER, price
 from invid.likelihood.unknown_forces.shapes import with_law
-from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, Supposed
 from invid.likelihood.unknown_forces.worth import FRICTION, Worth, role_falls
 from invid.model.diagnosis_document import Alternative
 from invid.numerics import budget
@@ -56,7 +56,7 @@ class _Rival:
 
     cause: str
     spot: Spot
-    found: Supposed
+    found: FittedHypothesis
     worse: float
 
     @property
@@ -66,7 +66,7 @@ class _Rival:
 
 
 def contests(
-    end: Supposed, worths: Sequence[Worth], pursued: Pursued, recording: Recording
+    end: FittedHypothesis, worths: Sequence[Worth], pursued: SearchEnd, recording: Recording
 ) -> dict[Hashable, Contest]:
     """By the key of each cause that stays: how sure it is, and its alternatives."""
     out: dict[Hashable, Contest] = {}
@@ -90,7 +90,7 @@ def contests(
     return out
 
 
-def _one_with_dry_friction(end: Supposed, worth: Worth, stays: Sequence[Worth]) -> list[_Rival]:
+def _one_with_dry_friction(end: FittedHypothesis, worth: Worth, stays: Sequence[Worth]) -> list[_Rival]:
     """Friction by direction in the place of a constant torque beside dry friction: the very same force."""
     if not (isinstance(worth.key, tuple) and worth.key[0] is Part.OFFSET):
         return []
@@ -100,7 +100,7 @@ def _one_with_dry_friction(end: Supposed, worth: Worth, stays: Sequence[Worth]) 
     return [_rival((AsymmetricFriction.cause, Spot(Where.MOTOR, motor)), end, end)]
 
 
-def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[_Rival]:
+def _rivals_of(end: FittedHypothesis, worth: Worth, pursued: SearchEnd, *, linear: bool) -> list[_Rival]:
     """Every rival that was fitted in a cause's place."""
     without = _hypothesis_without(end.hypothesis, worth.key)
     if without is None or budget.is_left_out(WHAT):
@@ -108,7 +108,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
     less = end.refit(without)
     own = next((p for p in end.hypothesis.laws if p.key == worth.key), None)
     each = Rows(end).price
-    rivals: list[tuple[str, Spot, float, Supposed]] = []
+    rivals: list[tuple[str, Spot, float, FittedHypothesis]] = []
     for placed in _within_reach(less, own or worth.key, _candidates(end, worth, pursued, linear=linear)):
         if budget.is_left_out(WHAT):
             break
@@ -129,7 +129,9 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
     return [_rival((cause, spot), found, end, more) for cause, spot, more, found in rivals if is_sound(found)]
 
 
-def _rival(named: tuple[str, Spot], found: Supposed, than: Supposed, more: float = 0.0) -> _Rival:
+def _rival(
+    named: tuple[str, Spot], found: FittedHypothesis, than: FittedHypothesis, more: float = 0.0
+) -> _Rival:
     """Worse by the rise on all records, with Schwarz's price of its further numbers; by what it is on the
     records fitted where that is decided there."""
     worse = found.total - than.total + more
@@ -147,7 +149,7 @@ def _taken_over(was: Hypothesis, placed: PlacedLaw) -> frozenset[Hashable]:
     return was.plus(placed).covered - was.covered - was.absent
 
 
-def _of_structure(worth: Worth, pursued: Pursued) -> list[_Rival]:
+def _of_structure(worth: Worth, pursued: SearchEnd) -> list[_Rival]:
     """Rivals of a part of the structure, fitted beside all else that was found."""
     return [
         _rival((r.cause, r.spot), r.found, taken.found, NUMBER * (r.numbers - taken.numbers))
@@ -169,7 +171,7 @@ def _hypothesis_without(was: Hypothesis, key: Hashable) -> Hypothesis | None:
     return None
 
 
-def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[PlacedLaw]:
+def _candidates(end: FittedHypothesis, worth: Worth, pursued: SearchEnd, *, linear: bool) -> list[PlacedLaw]:
     """Laws that may stand for a cause: its look-alikes at its place, the same elsewhere, what came close in
     the search."""
     spot = _spot_of(worth.key)
@@ -214,7 +216,9 @@ def _spot_of(key: Hashable) -> Spot | None:
     return Spot(Where.MOTOR, int(key[1])) if isinstance(key[0], Part) else None
 
 
-def _within_reach(less: Supposed, own: PlacedLaw | Hashable, looked: Sequence[PlacedLaw]) -> list[PlacedLaw]:
+def _within_reach(
+    less: FittedHypothesis, own: PlacedLaw | Hashable, looked: Sequence[PlacedLaw]
+) -> list[PlacedLaw]:
     """The best shape of each law whose score, where a cause was taken out, comes near its ``own`` (a law, or
     the name of its column), the best first."""
     if not looked:

@@ -10,10 +10,10 @@ import numpy as np
 from invid.diagnosis.unknown_forces.projected_rows import law_rows, scale_rows
 from invid.effects.supposed.law import SupposedLaw
 from invid.likelihood.unknown_forces.background import Background, bounded_fall
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.place import Place
 from invid.model.plant import Structure
 from invid.numerics import budget
@@ -39,7 +39,7 @@ def spot_at(structure: Structure, place: Place) -> Spot:
     return Spot(Where.MOTOR, place.axis)
 
 
-def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
+def candidates(now: FittedHypothesis, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
     """All laws at all places and shapes that do not stand yet, nor within another."""
     standing: dict[Spot, list[PlacedLaw]] = {}
     for placed in now.hypothesis.laws:
@@ -58,7 +58,7 @@ def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
     return out
 
 
-def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
+def score(now: FittedHypothesis, laws: Sequence[PlacedLaw]) -> Float64:
     """(k,) falls of −2 ln L by each law with strengths as they are; zero of what a budget leaves out."""
     background = Background.of(now)
     out = []
@@ -78,7 +78,7 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
     return np.array(out)
 
 
-def column_fall(now: Supposed, name: Hashable) -> float:
+def column_fall(now: FittedHypothesis, name: Hashable) -> float:
     """The same by a motor's friction that is held at zero."""
     number = [c.name for c in now.fit.problem.columns].index(name)
     rows = [w.laws[..., number].reshape(-1, 1) for w in now.fit.value.work]
@@ -86,7 +86,7 @@ def column_fall(now: Supposed, name: Hashable) -> float:
     return bounded_fall(*Background.of(now).beside(rows), [(low, np.inf)])
 
 
-def own_share(found: Supposed, placed: PlacedLaw) -> float:
+def own_share(found: FittedHypothesis, placed: PlacedLaw) -> float:
     """Share of a fitted law's power that nothing else in the fit explains, of its most independent part."""
     value, joint = found.fit.value, found.fit.slope.joint
     names, free = [c.name for c in found.fit.problem.columns], np.flatnonzero(value.free)

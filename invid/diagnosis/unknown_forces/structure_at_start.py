@@ -11,17 +11,17 @@ from invid.identification.contest import (
     NOTHING,
     NUMBERS,
     Known,
-    astray,
     bent_axes,
-    brought_home,
-    home_beside_springs,
     is_lost,
     is_settled,
     lowest_fit,
+    settled_beside_springs,
+    unexplained_axes,
+    with_best_splits,
 )
 from invid.identification.own_time import tones_of
+from invid.likelihood.unknown_forces.fitted_hypothesis import Bench, FittedHypothesis
 from invid.likelihood.unknown_forces.price import price
-from invid.likelihood.unknown_forces.supposition import Bench, Supposed
 from invid.model.plant import Structure
 
 LEADERS = 2
@@ -30,38 +30,38 @@ LEADERS = 2
 
 def begin_with_structure(
     bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING
-) -> Supposed:
+) -> FittedHypothesis:
     """The fit of chains with friction at the motors, and of a mode or base that they lack.
 
     Where a torque keeps its own time, only what leaves nothing: a light mode that swings from the start looks
     the same.
     """
     lowest = lowest_fit(bench, structure, kept, known)
-    tied = home_beside_springs(lowest, frozenset())
+    tied = settled_beside_springs(lowest, frozenset())
     if tied is not None:
         return tied
     shown = _with_what_scan_shows(lowest) if is_lost(lowest) else lowest
     starts = [shown, lowest] if is_settled(shown) or not tones_of(lowest) else [lowest]
-    ends: list[Supposed] = []
+    ends: list[FittedHypothesis] = []
     for start in dict.fromkeys(starts):
-        ends.append(brought_home(start, bent_axes(start)))
+        ends.append(with_best_splits(start, bent_axes(start)))
         if not is_lost(ends[-1]):
             break
     return min(ends, key=_priced)
 
 
-def _with_what_scan_shows(now: Supposed) -> Supposed:
+def _with_what_scan_shows(now: FittedHypothesis) -> FittedHypothesis:
     """The fit with the mode or base that explains most, by a scan from where the chains are; as it is where
     none does."""
     structure, looked = now.hypothesis.structure, Scan(now)
-    tried: list[Addition] = [Mode(structure.load[axis]) for axis in astray(now)]
+    tried: list[Addition] = [Mode(structure.load[axis]) for axis in unexplained_axes(now)]
     tried += [Base()] if structure.motors > 1 else []
     fits = [f for a in tried for f in (add(now, a, looked),) if f is not None and a.is_real(f)]
     ended = [f.refit() for f in sorted(fits, key=_priced)[:LEADERS]]
     return min((now, *ended), key=_priced)
 
 
-def _priced(found: Supposed) -> float:
+def _priced(found: FittedHypothesis) -> float:
     """−2 ln L with the prices of what is beside the chains: of a mode, and again of what a base has more: it
     holds the mode of any load as a special case."""
     structure = found.hypothesis.structure

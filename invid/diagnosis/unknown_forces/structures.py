@@ -16,8 +16,8 @@ from invid.identification.first_plants import fraction_chains
 from invid.identification.quantities import Quantities
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import TO_THE_END
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot, Where
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.plant import Element, Kind, Structure
 from invid.numerics.arrays import Float64
 
@@ -65,15 +65,15 @@ class Addition(ABC):
         """The place in a structure without it that it hangs on."""
 
     @abstractmethod
-    def starts(self, now: Supposed, looked: Scan) -> list[Values]:
+    def starts(self, now: FittedHypothesis, looked: Scan) -> list[Values]:
         """Its values at the peaks of a scan."""
 
-    def fractions(self, now: Supposed) -> list[Values]:
+    def fractions(self, now: FittedHypothesis) -> list[Values]:
         """Its values, and those of the chain that it belongs to, by what does not know the fit."""
         return []
 
     @abstractmethod
-    def is_real(self, now: Supposed) -> bool:
+    def is_real(self, now: FittedHypothesis) -> bool:
         """Return whether records can show what was found."""
 
 
@@ -89,7 +89,7 @@ class AddedMass(Addition):
         motor = host in structure.motor
         return Spot(Where.MOTOR, structure.motor.index(host)) if motor else Spot(Where.MASS, host)
 
-    def starts(self, now: Supposed, looked: Scan) -> list[Values]:
+    def starts(self, now: FittedHypothesis, looked: Scan) -> list[Values]:
         wider = self.within(now.hypothesis.structure)
         host, at = self.ends(wider)
         whole = float(now.numbers.plant.of_kind(Kind.MASS)[host])
@@ -102,7 +102,7 @@ class AddedMass(Addition):
                 out.append(values | self.carried(now, wider, share))
         return out
 
-    def fractions(self, now: Supposed) -> list[Values]:
+    def fractions(self, now: FittedHypothesis) -> list[Values]:
         """Values of the whole chain with the mass at its end, by continued fractions."""
         wider = self.within(now.hypothesis.structure)
         host, at = self.ends(wider)
@@ -121,11 +121,11 @@ class AddedMass(Addition):
             out.append(values | self.carried(now, wider, min(share, 1.0)))
         return out
 
-    def carried(self, now: Supposed, wider: Structure, share: float) -> Values:
+    def carried(self, now: FittedHypothesis, wider: Structure, share: float) -> Values:
         """What moves from the host to the mass."""
         return {}
 
-    def is_real(self, now: Supposed) -> bool:
+    def is_real(self, now: FittedHypothesis) -> bool:
         structure, plant = now.hypothesis.structure, now.numbers.plant
         host, at = self.ends(structure)
         link = structure.links.index((host, at))
@@ -170,7 +170,7 @@ class FurtherMass(AddedMass):
         last = wider.load[self.axis]
         return last - 1, last
 
-    def carried(self, now: Supposed, wider: Structure, share: float) -> Values:
+    def carried(self, now: FittedHypothesis, wider: Structure, share: float) -> Values:
         coupling = now.numbers.plant.of_kind(Kind.COUPLING)
         joined = zip(wider.elements[wider.index(Kind.COUPLING)], coupling, strict=True)
         mass = wider.load[self.axis]
@@ -192,7 +192,7 @@ class Base(Addition):
     def spot(self, structure: Structure) -> Spot:
         return Spot(Where.MOTOR, 0)
 
-    def starts(self, now: Supposed, looked: Scan) -> list[Values]:
+    def starts(self, now: FittedHypothesis, looked: Scan) -> list[Values]:
         wider = self.within(now.hypothesis.structure)
         at = wider.coordinates - 1
         inertia = load_inertia(now.hypothesis.structure, now.numbers.plant.values)
@@ -217,7 +217,7 @@ class Base(Addition):
                 out.append(values)
         return out
 
-    def is_real(self, now: Supposed) -> bool:
+    def is_real(self, now: FittedHypothesis) -> bool:
         structure, plant = now.hypothesis.structure, now.numbers.plant
         own, _ = base_of(structure, plant.values)
         frequency = np.sqrt(own["stiffness"] / (own["mass"] + own["carried"])) / top(now)
@@ -280,7 +280,7 @@ def load_inertia(structure: Structure, values: Float64) -> Float64:
     return out
 
 
-def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
+def add(now: FittedHypothesis, addition: Addition, looked: Scan) -> FittedHypothesis | None:
     """A short fit with an addition; none where no start has a value.
 
     The best starts of the scan compete with those of continued fractions where the fit is not home: a scan at
@@ -295,14 +295,14 @@ def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
             with suppress(np.linalg.LinAlgError):
                 pool.append(now.in_structure(moved, values, 0))
         tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
-    best: Supposed | None = None
+    best: FittedHypothesis | None = None
     for start in sorted(tried, key=lambda f: f.total)[:STARTS]:
         found = start.refit(target=np.inf if best is None else best.total)
         best = found if best is None or found.total < best.total else best
     return best
 
 
-def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
+def additions(now: FittedHypothesis, looked: Scan, *, growing: bool) -> list[Addition]:
     """What is worth a fit: hosts by the falls of the scan, loads of axes on which an unknown force is strong,
     a base where there are several loads.
 
@@ -326,7 +326,7 @@ def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
     return out
 
 
-def axes_with_force(now: Supposed) -> list[int]:
+def axes_with_force(now: FittedHypothesis) -> list[int]:
     """Axes with an unknown force behind the motor that is no tenth of the strongest; none where none
     counts."""
     if is_settled(now):
@@ -344,7 +344,7 @@ def axes_with_force(now: Supposed) -> list[int]:
     return list(dict.fromkeys(out))
 
 
-def without(now: Supposed, addition: Addition, iterations: int = TO_THE_END) -> Supposed:
+def without(now: FittedHypothesis, addition: Addition, iterations: int = TO_THE_END) -> FittedHypothesis:
     """The fit with an addition taken out, its mass put back on its host."""
     structure, values = now.hypothesis.structure, {}
     if isinstance(addition, Mode):

@@ -11,9 +11,9 @@ from invid.clauses import dependent_on, element_phrase
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
 from invid.effects.supposed.law import SpotMotion
 from invid.effects.units import unit_of
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.smoother import SmoothedStack
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import Unexplained
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
@@ -47,7 +47,9 @@ class RecordForce:
     share: float
 
 
-def describe_left(found: Supposed, forces: Sequence[PlaceForce], recording: Recording) -> Unexplained | None:
+def describe_left(
+    found: FittedHypothesis, forces: Sequence[PlaceForce], recording: Recording
+) -> Unexplained | None:
     """The strongest force that is sure to be left, in words; ``None`` where none is."""
     sure = [f for f in forces if f.is_sure]
     if not sure:
@@ -74,7 +76,7 @@ def describe_left(found: Supposed, forces: Sequence[PlaceForce], recording: Reco
     return Unexplained(name, frequencies, character, said)
 
 
-def record_forces(found: Supposed, spot: Spot) -> list[RecordForce]:
+def record_forces(found: FittedHypothesis, spot: Spot) -> list[RecordForce]:
     """The smoothed force at a place in every record fitted."""
     number = found.fit.problem.spots.number[spot]
     motions = iter(found.motions.flat(spot))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis
 from invid.likelihood.unknown_forces.shapes import joint_rows
-from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.value import bounded_minimum
 from invid.numerics.arrays import Float64
 
@@ -30,7 +30,7 @@ class Background:
     inverse: Float64
 
     @classmethod
-    def of(cls, now: Supposed) -> Background:
+    def of(cls, now: FittedHypothesis) -> Background:
         """At a fit, with strengths as they are."""
         value, joint = now.fit.value, now.fit.slope.joint
         size: Float64 = np.sqrt(np.diag(joint)) + 1e-300

@@ -11,10 +11,10 @@ import numpy as np
 
 from invid.effects.supposed.law import Shape
 from invid.likelihood.unknown_forces.descent import TO_END
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis, Hypothesis
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
 from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
-from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed
 from invid.likelihood.unknown_forces.value import along, evaluate
 from invid.model.plant import Structure
 from invid.numerics import budget
@@ -48,14 +48,14 @@ class ShapeAt:
     name: Hashable
     get: Callable[[Hypothesis], float]
     put: Callable[[Hypothesis, float], Hypothesis]
-    slope: Callable[[Supposed], list[Complex128]]
+    slope: Callable[[FittedHypothesis], list[Complex128]]
     """(R, F) of each stack: change of the law's force by the shape."""
     vector: Float64
     low: float
     high: float
 
 
-def shapes_of(now: Supposed) -> list[ShapeAt]:
+def shapes_of(now: FittedHypothesis) -> list[ShapeAt]:
     """All shapes of friction and laws that have a force."""
     out: list[ShapeAt] = []
     structure = now.hypothesis.structure
@@ -84,7 +84,7 @@ def shapes_of(now: Supposed) -> list[ShapeAt]:
     return out
 
 
-def _speeds(now: Supposed) -> Float64:
+def _speeds(now: FittedHypothesis) -> Float64:
     records = [r for s in now.bench.stacks for r in s.records]
     out: Float64 = np.sqrt(np.mean([(r.motion.velocity**2).mean(axis=0) for r in records], axis=0))
     return out
@@ -120,7 +120,7 @@ def _friction_shape(
         own = value / times if times else float(np.exp(value))
         return _with_friction(h, motor, replace(h.friction[motor], **{name: own}))
 
-    def slope(now: Supposed) -> list[Complex128]:
+    def slope(now: FittedHypothesis) -> list[Complex128]:
         at = get(now.hypothesis)
         return _central(
             lambda s: _friction_force(now, motor, put(now.hypothesis, at + s).friction[motor]),
@@ -130,7 +130,7 @@ def _friction_shape(
     return ShapeAt((Part.DRY, motor, name), get, put, slope, vector, *bounds)
 
 
-def _friction_force(now: Supposed, motor: int, shape: FrictionShape) -> list[Complex128]:
+def _friction_force(now: FittedHypothesis, motor: int, shape: FrictionShape) -> list[Complex128]:
     sizes = now.sizes
     parts = [(p, sizes[p, motor]) for p in (Part.DRY, Part.RISE)]
     lines = [[size * s for s in now.bench.motor_laws.lines(motor, p, shape)] for p, size in parts if size]
@@ -138,7 +138,7 @@ def _friction_force(now: Supposed, motor: int, shape: FrictionShape) -> list[Com
 
 
 def _law_shape(
-    now: Supposed, number: int, shape: int, bounds: tuple[float, float], structure: Structure
+    now: FittedHypothesis, number: int, shape: int, bounds: tuple[float, float], structure: Structure
 ) -> ShapeAt:
     def get(h: Hypothesis) -> float:
         return h.laws[number].shape[shape]
@@ -147,7 +147,7 @@ def _law_shape(
         was = h.laws[number].shape
         return _with_shape(h, number, (*was[:shape], value, *was[shape + 1 :]))
 
-    def slope(now: Supposed) -> list[Complex128]:
+    def slope(now: FittedHypothesis) -> list[Complex128]:
         placed, at = now.hypothesis.laws[number], get(now.hypothesis)
         first = [c.name for c in now.fit.problem.columns].index((*placed.key, 0))
         value = now.fit.value.coefficients[first : first + len(placed.law.low)]
@@ -167,7 +167,7 @@ WIDTH_GRID = (0.4, 1.0, 2.5)
 """Stribeck velocities over the motor's rms velocity, and widths over the present one, that are looked at."""
 
 
-def scan_friction(now: Supposed) -> Supposed:
+def scan_friction(now: FittedHypothesis) -> FittedHypothesis:
     """The same with each motor's friction at the best of a grid of shapes, numbers as they are."""
     speed = _speeds(now)
     best, hypothesis = now.total, now.hypothesis
@@ -188,13 +188,13 @@ def scan_friction(now: Supposed) -> Supposed:
     return now.refit(hypothesis) if hypothesis is not now.hypothesis else now
 
 
-def _total(now: Supposed, trial: Hypothesis) -> float:
+def _total(now: FittedHypothesis, trial: Hypothesis) -> float:
     """−2 ln L with other shapes, numbers as they are."""
     problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
     return evaluate(problem, now.numbers).total
 
 
-def scan_law(now: Supposed, number: int) -> Supposed:
+def scan_law(now: FittedHypothesis, number: int) -> FittedHypothesis:
     """The same with a law's shape at the best of its grids, one after another, the numbers fitted after
     each."""
     placed = now.hypothesis.laws[number]
@@ -211,21 +211,21 @@ def scan_law(now: Supposed, number: int) -> Supposed:
     return now
 
 
-def with_law(now: Supposed, placed: PlacedLaw) -> Supposed:
+def with_law(now: FittedHypothesis, placed: PlacedLaw) -> FittedHypothesis:
     """The hypothesis with one law more, its shape and all numbers at their best."""
     found = now.refit(now.hypothesis.plus(placed), iterations=5)
     found = scan_law(found, len(found.hypothesis.laws) - 1)
     return smoothed_with_shapes(found) if placed.needs_fit else reshape(found, 4)
 
 
-def smoothed_with_shapes(now: Supposed) -> Supposed:
+def smoothed_with_shapes(now: FittedHypothesis) -> FittedHypothesis:
     """The same with shapes at their best and inner motion smoothed anew, in turn."""
     for _ in range(SMOOTHED):
         now = reshape(now, 2).renewed(5)
     return now if now.fit.is_finished else now.refit()
 
 
-def reshape(now: Supposed, rounds: int = 4) -> Supposed:
+def reshape(now: FittedHypothesis, rounds: int = 4) -> FittedHypothesis:
     """The same with shapes at their best, inner motion as it is."""
     for _ in range(rounds):
         moved = _step(now)
@@ -255,7 +255,7 @@ class Curvature:
         return np.asarray(np.linalg.inv(scaled) / unit[:, None] / unit, dtype=np.float64)
 
 
-def curvature(now: Supposed) -> Curvature:
+def curvature(now: FittedHypothesis) -> Curvature:
     """The curvature at a fit, its shapes included."""
     shapes = tuple(shapes_of(now))
     value, around = now.fit.value, now.fit.slope
@@ -274,7 +274,7 @@ def curvature(now: Supposed) -> Curvature:
     return Curvature(gradient, np.block([[around.joint, cross], [cross.T, own]]), size, free, shapes)
 
 
-def _step(now: Supposed) -> Supposed | None:
+def _step(now: FittedHypothesis) -> FittedHypothesis | None:
     around = curvature(now)
     if not around.shapes:
         return None
@@ -295,7 +295,7 @@ def _step(now: Supposed) -> Supposed | None:
     return None
 
 
-def joint_rows(now: Supposed, number: int) -> Float64:
+def joint_rows(now: FittedHypothesis, number: int) -> Float64:
     """(rows, p + J') whitened columns of the numbers and of the free laws in one stack."""
     work = now.fit.value.work[number]
     rows = number_rows(now.fit.problem, now.fit.value, number)

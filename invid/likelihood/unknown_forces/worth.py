@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 
 from invid.likelihood.unknown_forces.descent import Ended
+from invid.likelihood.unknown_forces.fitted_hypothesis import Channel, FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import FITTED, PARTS, pays, price, price_at_motors
 from invid.likelihood.unknown_forces.shapes import reshape
-from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.model.plant import Kind
 from invid.numerics import budget
 from invid.wording.sentence import sentence
@@ -83,7 +83,7 @@ class Worth:
         return pays(fitted + more, kept, self.price)
 
 
-def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
+def role_falls(before: FittedHypothesis, after: FittedHypothesis) -> tuple[float, float]:
     """Falls on the records fitted and on those kept out."""
     return before.total - after.total, before.kept_total - after.kept_total
 
@@ -94,31 +94,37 @@ class Deletion:
 
     cause: str
     key: Hashable
-    without: Callable[[Supposed], Supposed]
+    without: Callable[[FittedHypothesis], FittedHypothesis]
     numbers: int = 1
 
 
-def _weigh(now: Supposed, one: Deletion) -> tuple[Worth, Supposed | None]:
+def _weigh(now: FittedHypothesis, one: Deletion) -> tuple[Worth, FittedHypothesis | None]:
     """What a cause is worth, and the fit without it; unweighed where the time is up."""
     if budget.is_left_out(WEIGHING):
         return Worth(one.cause, one.key, numbers=one.numbers, gaps=None), None
     less = one.without(now)
     gaps, rise = (now.fit.open_gap, less.fit.open_gap), less.total - now.total
     worth = Worth(one.cause, one.key, rise, (rise, 0.0), tuple(less.strength), one.numbers, gaps)
-    worth = replace(worth, roles=role_falls(less, now)) if worth.may_pay else worth
+    if worth.may_pay and less.motions is now.motions:
+        worth = replace(worth, roles=(rise, less.kept_total_unmoved - now.kept_total_unmoved))
+    elif worth.may_pay:
+        worth = replace(worth, roles=role_falls(less, now))
     return (replace(worth, gaps=None) if less.fit.ended is Ended.CUT else worth), less
 
 
 def prune(
-    now: Supposed, deletions_of: Callable[[Supposed], Sequence[Deletion]], kept: Collection[Hashable] = ()
-) -> tuple[tuple[Worth, ...], Supposed]:
+    now: FittedHypothesis,
+    deletions_of: Callable[[FittedHypothesis], Sequence[Deletion]],
+    kept: Collection[Hashable] = (),
+) -> tuple[tuple[Worth, ...], FittedHypothesis]:
     """What each cause is worth in the fit with those that pay, and that fit.
 
     One at a time the one that is least above its price goes, once it is known to be poor beside those left:
     two that are each dispensable beside the other do not both go. Those ``kept`` stay in the fit.
     """
-    known: dict[Hashable, tuple[Worth, Supposed | None]] = {}
-    weighed_at: dict[Hashable, Supposed] = {}
+    known: dict[Hashable, tuple[Worth, FittedHypothesis | None]] = {}
+    weighed_at: dict[Hashable, FittedHypothesis] = {}
+    now = now.at_rest_on_kept()
     while True:
         deletions = {d.key: d for d in deletions_of(now)}
         for key, deletion in deletions.items():
@@ -138,7 +144,7 @@ def prune(
             now = known[least][1] or now
 
 
-def friction_deletions(now: Supposed) -> list[Deletion]:
+def friction_deletions(now: FittedHypothesis) -> list[Deletion]:
     """The parts of the friction of motors that are not at zero."""
     sizes = now.sizes
     return [
@@ -149,7 +155,7 @@ def friction_deletions(now: Supposed) -> list[Deletion]:
     ]
 
 
-def channel_deletions(now: Supposed) -> list[Deletion]:
+def channel_deletions(now: FittedHypothesis) -> list[Deletion]:
     """The drives that are late or lag."""
     return [
         Deletion(channel.value, (channel, axis), partial(_without_channel, own=(channel, axis)))
@@ -157,7 +163,7 @@ def channel_deletions(now: Supposed) -> list[Deletion]:
     ]
 
 
-def spring_deletions(now: Supposed) -> list[Deletion]:
+def spring_deletions(now: FittedHypothesis) -> list[Deletion]:
     """The springs between loads."""
     return [
         Deletion("coupling_stiffness", pair, partial(without_column, name=pair))
@@ -166,7 +172,7 @@ def spring_deletions(now: Supposed) -> list[Deletion]:
     ]
 
 
-def without_loose_springs(now: Supposed) -> Supposed:
+def without_loose_springs(now: FittedHypothesis) -> FittedHypothesis:
     """The fit without all springs between loads that are none of four deviations, where together they pay no
     price: six axes have fifteen of them."""
     structure = now.hypothesis.structure
@@ -179,12 +185,12 @@ def without_loose_springs(now: Supposed) -> Supposed:
     return less if less.fit.is_finished and less.total - now.total < price() else now
 
 
-def _without_channel(now: Supposed, own: tuple[Channel, int]) -> Supposed:
+def _without_channel(now: FittedHypothesis, own: tuple[Channel, int]) -> FittedHypothesis:
     absent = now.hypothesis.absent | {(Channel.DELAY, own[1])}
     return now.refit(replace(now.hypothesis, channels=now.hypothesis.channels - {own}, absent=absent))
 
 
-def without_column(now: Supposed, name: Hashable) -> Supposed:
+def without_column(now: FittedHypothesis, name: Hashable) -> FittedHypothesis:
     """The fit with a column, or a spring between two loads, held at zero."""
     hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | {name})
     return reshape(now.refit(hypothesis), 1)

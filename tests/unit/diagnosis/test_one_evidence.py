@@ -9,7 +9,7 @@ from hidden.generator import make
 
 import invid
 from invid.diagnosis.unknown_forces.machine_search import search_elastic
-from invid.identification.begun import begin_elastic
+from invid.identification.search_start import begin_elastic
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.numerics.budget import Budget, Progress, stop, use_budget
 from invid.recording.model import Recording

@@ -22,9 +22,8 @@ Torque = Callable[[Float64, Float64, Float64], Float64]
         (lambda time, position, velocity: np.exp(-time / 40.0), "time-dependent"),
         (lambda time, position, velocity: np.tanh(time / 10.0 - 2.0), "time-dependent"),
         (lambda time, position, velocity: velocity * np.abs(velocity), "velocity-dependent"),
-        (lambda time, position, velocity: np.cos(2.0 * position), "position-dependent"),
     ],
-    ids=["cooling down", "a load that comes slowly", "drag", "a wave over the position"],
+    ids=["cooling down", "a load that comes slowly", "drag"],
 )
 def test_torque_without_a_name_is_said_to_go_with_what_it_goes_with(torque: Torque, character: str) -> None:
     recording, _ = make(None, seed=7, motors=1, masses=(2,), noise=0.003, moves=False)

@@ -156,7 +156,7 @@ class _OnKept:
 
 
 @dataclass(frozen=True, eq=False)
-class Supposed:
+class FittedHypothesis:
     """A hypothesis with its fit, the motions its laws were evaluated on, and the same of the records kept
     out."""
 
@@ -235,13 +235,25 @@ class Supposed:
         """−2 ln L of the records kept out; that of those fitted where none are."""
         return self.total if self.kept_value is None else float(self.kept_value.share.sum())
 
+    @cached_property
+    def kept_total_unmoved(self) -> float:
+        """The same on their motion as far as it is known, as a fit is on motion that stays."""
+        if self.kept is None or self.kept_motions is None:
+            return self.total
+        return float(self._on_kept(self.kept, self.kept_motions).value.share.sum())
+
+    def at_rest_on_kept(self) -> FittedHypothesis:
+        """The same with the motion of the records kept out at rest."""
+        at_rest = self._kept_at_rest
+        return self if at_rest is None else replace(self, kept_motions=at_rest.motions)
+
     def refit(
         self,
         hypothesis: Hypothesis | None = None,
         numbers: Numbers | None = None,
         iterations: int = TO_THE_END,
         target: float = np.inf,
-    ) -> Supposed:
+    ) -> FittedHypothesis:
         """Another hypothesis, on the same motions, from here; given up where it would not come to
         ``target``."""
         changed = self.hypothesis if hypothesis is None else hypothesis
@@ -254,7 +266,7 @@ class Supposed:
         found = fit(problem, start, iterations, target)
         return replace(self, hypothesis=changed, fit=found, kept_motions=self._kept_known)
 
-    def with_forces_at_laws(self) -> Supposed:
+    def with_forces_at_laws(self) -> FittedHypothesis:
         """The fit where behind the motors nothing unknown acts but at the places of laws."""
         problem, laws = self.fit.problem, {placed.spot for placed in self.hypothesis.laws}
         shut = [k for k, s in enumerate(problem.spots.spots) if s not in laws and s.where is not Where.MOTOR]
@@ -263,20 +275,20 @@ class Supposed:
         numbers = replace(self.numbers, strength=strength)
         return replace(self, fit=fit(replace(problem, shut=np.array(shut, dtype=int)), numbers))
 
-    def with_forces_anywhere(self) -> Supposed:
+    def with_forces_anywhere(self) -> FittedHypothesis:
         """The fit where something unknown may act at every place."""
         problem = replace(self.fit.problem, shut=np.zeros(0, dtype=int))
         return replace(self, fit=fit(problem, self.numbers))
 
-    def renewed(self, iterations: int = TO_THE_END, *, agreed: bool = False) -> Supposed:
+    def renewed(self, iterations: int = TO_THE_END, *, agreed: bool = False) -> FittedHypothesis:
         """The same with inner motion smoothed anew."""
         return self.smoothed(agreed=agreed).refit(iterations=iterations)
 
-    def with_motion(self) -> Supposed:
+    def with_motion(self) -> FittedHypothesis:
         """The same where motion is known at every place: smoothed at its own fit where it never was."""
         return self if self.motions.smoothed else self.smoothed()
 
-    def smoothed(self, *, agreed: bool = False) -> Supposed:
+    def smoothed(self, *, agreed: bool = False) -> FittedHypothesis:
         """The same on inner motion smoothed at its own fit; ``agreed``, or where it was before: that across
         springs agrees with their laws."""
         motions = self.motions.renewed(
@@ -290,14 +302,14 @@ class Supposed:
             kept = self._kept_at_rest.smoothed((), agreed=False)
         return replace(self, motions=motions, kept_motions=kept)
 
-    def with_kept_agreed(self) -> Supposed:
+    def with_kept_agreed(self) -> FittedHypothesis:
         """The same on motion of the records kept out that agrees with the laws once more, at this fit."""
         if self.kept is None or self._kept_known is None:
             return self
         known = self._on_kept(self.kept, self._kept_known)
         return replace(self, kept_motions=known.smoothed(self.hypothesis.laws, agreed=True))
 
-    def with_agreed_motors(self) -> Supposed:
+    def with_agreed_motors(self) -> FittedHypothesis:
         """The same on motor motion that agrees with friction as it is found."""
         sizes = self.sizes
         friction = [
@@ -316,7 +328,7 @@ class Supposed:
 
     def in_structure(
         self, moved: Correspondence, added: Mapping[Element, float], iterations: int = TO_THE_END
-    ) -> Supposed:
+    ) -> FittedHypothesis:
         """The fit of another structure from here: what both have as it was, what is ``added`` from its
         values.
 
@@ -366,7 +378,7 @@ def _agreed(smoothed: Sequence[SmoothedStack], friction: Friction) -> list[Stack
     return [replace(s.stack, records=agreed_records(s, friction)) for s in smoothed]
 
 
-KEPT_ROUNDS, STANDS = 6, 0.1 * price_at_motors(PARTS)
+KEPT_ROUNDS, STANDS = 3, 0.1 * price_at_motors(PARTS)
 """Most times that the motion of records kept out is smoothed, and the change of −2 ln L by which it stands: a
 tenth of the least price."""
 HELD = 1e-9
@@ -392,7 +404,7 @@ def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple
     return numbers.moved(x), replace(problem, centre=centre, spread=spread)
 
 
-def excess(found: Supposed) -> float:
+def excess(found: FittedHypothesis) -> float:
     """−2 ln L of the records fitted above what the sensors alone would leave."""
     value, out = found.fit.value, 0.0
     for work in value.work:
@@ -406,13 +418,13 @@ def excess(found: Supposed) -> float:
     return out
 
 
-def suppose(
+def fit_hypothesis(
     benches: tuple[Bench, Bench | None],
     hypothesis: Hypothesis,
     numbers: Numbers,
     iterations: int = TO_THE_END,
     target: float = np.inf,
-) -> Supposed:
+) -> FittedHypothesis:
     """The first fit of a hypothesis without laws, on records fitted and kept out; given up where it would not
     come to ``target``."""
     bench, kept = benches
@@ -420,7 +432,9 @@ def suppose(
     problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
     numbers, problem = bounded(numbers, problem, hypothesis)
     kept_motions = None if kept is None else Motions(kept.stacks, hypothesis.structure)
-    return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations, target), kept, kept_motions)
+    return FittedHypothesis(
+        bench, hypothesis, motions, fit(problem, numbers, iterations, target), kept, kept_motions
+    )
 
 
 def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:

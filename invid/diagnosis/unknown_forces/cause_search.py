@@ -24,11 +24,11 @@ from invid.effects.supposed.law import SupposedLaw
 from invid.effects.supposed_laws import SUPPOSED
 from invid.identification.late_drives import late_drives
 from invid.likelihood.unknown_forces.background import ALIKE
+from invid.likelihood.unknown_forces.fitted_hypothesis import FittedHypothesis, excess
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.price import FITTED, NUMBER, pays, price
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, smoothed_with_shapes, with_law
-from invid.likelihood.unknown_forces.supposition import Supposed, excess
 from invid.likelihood.unknown_forces.worth import role_falls
 from invid.model.plant import Kind
 from invid.numerics import budget
@@ -51,7 +51,7 @@ NEAR_END = 20.0
 MOST = 0.5
 """Share of what is in excess of the sensors from which beside a law no other structure is supposed."""
 
-Tell = Callable[[Supposed, float], None]
+Tell = Callable[[FittedHypothesis, float], None]
 """Given what is found so far, and the share of the search that lies behind."""
 
 
@@ -61,8 +61,8 @@ class Trial:
 
     cause: str
     spot: Spot
-    found: Supposed
-    base: Supposed
+    found: FittedHypothesis
+    base: FittedHypothesis
     """The hypothesis without it."""
     placed: PlacedLaw | None = None
     """The law, where it is one."""
@@ -101,7 +101,7 @@ class Trial:
         )
 
 
-def is_sound(found: Supposed) -> bool:
+def is_sound(found: FittedHypothesis) -> bool:
     """Return whether every gap lies within its spring's motion and takes away that spring's own stiffness.
 
     Of a spring that no record bends nothing is known, so no gap in it either.
@@ -127,13 +127,13 @@ def is_sound(found: Supposed) -> bool:
     return True
 
 
-def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
+def _is_at_bound(found: FittedHypothesis, placed: PlacedLaw) -> bool:
     """Whether a coefficient of a law is at its bound."""
     names = [c.name for c in found.fit.problem.columns]
     return not all(found.fit.value.free[names.index((*placed.key, i))] for i in range(len(placed.law.low)))
 
 
-def _agreed_alone(now: Supposed) -> Supposed:
+def _agreed_alone(now: FittedHypothesis) -> FittedHypothesis:
     """The fit on motion across springs that agrees with their laws, followed where nothing unknown acts
     beside them.
 
@@ -150,7 +150,7 @@ def _agreed_alone(now: Supposed) -> Supposed:
     return lowest.with_forces_anywhere()
 
 
-def settle(now: Supposed, rounds: int = 5) -> Supposed:
+def settle(now: FittedHypothesis, rounds: int = 5) -> FittedHypothesis:
     """Motion, shapes and numbers in turn until the value stands."""
     if now.has_contact and not now.motions.is_agreed:
         now = min(now, _agreed_alone(now), key=lambda f: f.total)
@@ -168,7 +168,7 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
     return now
 
 
-def try_channels(now: Supposed) -> list[Trial]:
+def try_channels(now: FittedHypothesis) -> list[Trial]:
     """Drives whose torque acts late by more than a sample, or lags, each against no such thing."""
     return [
         Trial(late.channel.value, Spot(Where.MOTOR, late.axis), late.found, late.without)
@@ -177,7 +177,7 @@ def try_channels(now: Supposed) -> list[Trial]:
 
 
 def try_structures(
-    now: Supposed, least: float, *, growing: bool, start: Supposed | None = None
+    now: FittedHypothesis, least: float, *, growing: bool, start: FittedHypothesis | None = None
 ) -> list[Trial]:
     """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be.
 
@@ -198,7 +198,7 @@ def try_structures(
     return [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
 
 
-def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...]]:
+def reconsider_structure(now: FittedHypothesis) -> tuple[FittedHypothesis, tuple[tuple[Trial, Trial], ...]]:
     """The fit with the best of every mode, base and what may stand in its place, and its rivals.
 
     When a part of the structure was taken, what was found since was not known: the mode of one load is a base
@@ -224,10 +224,10 @@ def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...
 
 
 @dataclass(frozen=True, eq=False)
-class Pursued:
+class SearchEnd:
     """Where a search ended, and the rivals of each cause that it took on the way."""
 
-    end: Supposed
+    end: FittedHypothesis
     rivals: tuple[tuple[Trial, Trial], ...]
     """Taken, and beside it what did nearly as well."""
 
@@ -247,14 +247,14 @@ def finish(trials: Sequence[Trial]) -> list[Trial]:
     return sorted(trials, key=lambda t: -t.merit)
 
 
-def pursue(
-    now: Supposed,
+def search_causes(
+    now: FittedHypothesis,
     laws: Sequence[SupposedLaw] = SUPPOSED,
     tell: Tell = lambda _, __: None,
     rounds: int = 8,
     *,
     growing: bool = False,
-) -> Pursued:
+) -> SearchEnd:
     """Causes taken one after another, each the one that lowers −2 ln L most, until none pays its price.
 
     ``growing``: the number of masses is not known, and chains may become longer.
@@ -298,5 +298,5 @@ def pursue(
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, FITTED * price())
         rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
         now = settle(reshape(scan_friction(taken.found)))
-    now, beside = stand_again(now)
-    return Pursued(now, (*(r for r in rivals if r[0].addition is None), *beside))
+    now, beside = reconsider_structure(now)
+    return SearchEnd(now, (*(r for r in rivals if r[0].addition is None), *beside))

@@ -13,11 +13,17 @@ from invid.identification.fitted_model import plant_of
 from invid.identification.kept_out import Split, all_records, records_of
 from invid.identification.missing_torque import missed_share
 from invid.identification.own_time import AxisTones, changes_within, sized, tones_of
+from invid.likelihood.unknown_forces.fitted_hypothesis import (
+    Bench,
+    FittedHypothesis,
+    Hypothesis,
+    first_strength,
+    fit_hypothesis,
+)
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
 from invid.likelihood.unknown_forces.price import NUMBER
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
-from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
 from invid.model.chains import CoupledChains
@@ -35,14 +41,14 @@ cause is found (empirical: what is done of them without a budget)."""
 
 STILL = 1e-4
 """Velocity over that of the fastest axis below which friction of an axis is not seen (numerical)."""
-Start = Callable[[Bench, Structure, Bench | None, Known], Supposed]
+Start = Callable[[Bench, Structure, Bench | None, Known], FittedHypothesis]
 """The first fit of a structure on records fitted and kept out, with what is known."""
 SETTLED = 4
 """Iterations from the believed plant by which strengths and timing are as the drawn noise has them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Begun:
+class SearchStart:
     """Where a search over causes of a recording starts.
 
     ``declared``: masses of each axis as asked for; ``None`` where the records are to say, and chains may
@@ -50,7 +56,7 @@ class Begun:
     """
 
     recording: Recording
-    first: Supposed
+    first: FittedHypothesis
     declared: tuple[int, ...] | None
     warnings: tuple[str, ...]
     alike: tuple[tuple[int, ...], ...] = ()
@@ -77,7 +83,7 @@ def begin_elastic(
     known: CoupledChains | None = None,
     *,
     start: Start = begin,
-) -> Begun:
+) -> SearchStart:
     """The fit with friction at the motors that a search starts from, of the recording without tones.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given. ``known``: chains of so
@@ -98,12 +104,12 @@ def begin_elastic(
     return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
 
 
-def _whole(found: Supposed) -> float:
+def _whole(found: FittedHypothesis) -> float:
     """−2 ln L of all records."""
     return found.total + found.kept_total
 
 
-def _each_period(begun: Begun) -> Begun:
+def _each_period(begun: SearchStart) -> SearchStart:
     """The same with every period on its own where the machine changes within a record: a period's lines show
     the mean of what it was.
 
@@ -114,7 +120,7 @@ def _each_period(begun: Begun) -> Begun:
     if budget.is_left_out(sentence("each period on its own")):
         return begun
     benches = _benches(records_of(begun.recording, by_period=True))
-    first = suppose(benches, begun.first.hypothesis, begun.first.numbers)
+    first = fit_hypothesis(benches, begun.first.hypothesis, begun.first.numbers)
     return replace(begun, first=reshape(scan_friction(first)))
 
 
@@ -128,7 +134,7 @@ def _bench(records: Sequence[Record]) -> Bench:
     return Bench(stack_records(records, hold_damping(records)))
 
 
-def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, start: Start) -> Begun:
+def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, start: Start) -> SearchStart:
     split = records_of(recording)
     bench, beside = _benches(split)
     declared = None if sizes is None else tuple(sizes)
@@ -146,16 +152,16 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, star
             way_out="check signs, units and the number of masses",
             code="nothing_fits",
         ) from None
-    return Begun(recording, first, declared, split.warnings, alike, stopgap=split.stopgap)
+    return SearchStart(recording, first, declared, split.warnings, alike, stopgap=split.stopgap)
 
 
-def on_all_records(now: Supposed, recording: Recording) -> Supposed:
+def on_all_records(now: FittedHypothesis, recording: Recording) -> FittedHypothesis:
     """A hypothesis without laws fitted to every record of a recording, none kept out."""
     bench = _bench(all_records(recording))
-    return reshape(suppose((bench, None), now.hypothesis, now.numbers))
+    return reshape(fit_hypothesis((bench, None), now.hypothesis, now.numbers))
 
 
-def settled_about(chains: CoupledChains, records: Sequence[Record]) -> Supposed:
+def settled_about(chains: CoupledChains, records: Sequence[Record]) -> FittedHypothesis:
     """A known plant with friction at its motors on records: strengths and timing as the records have them."""
     bench, plant = _bench(records), plant_of(chains)
     timing = Timing.of_records(bench.stacks)
@@ -164,4 +170,4 @@ def settled_about(chains: CoupledChains, records: Sequence[Record]) -> Supposed:
     absent = frozenset((part, int(motor)) for motor in still for part in Part)
     hypothesis = Hypothesis(plant.structure, first_shapes(bench.stacks), absent=absent)
     numbers = Numbers(plant, timing, first_strength(bench.stacks, plant.structure))
-    return suppose((bench, None), hypothesis, numbers, SETTLED)
+    return fit_hypothesis((bench, None), hypothesis, numbers, SETTLED)
