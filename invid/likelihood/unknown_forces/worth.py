@@ -132,8 +132,9 @@ def prune(
                 known[key], weighed_at[key] = _weigh(now, deletion), now
         worths = [known[key][0] for key in deletions]
         stays = {w.key for w in worths if w.stays}
-        # A rise at slow speed is one above dry friction.
-        needed = {(Part.DRY, m) for m in range(now.hypothesis.structure.motors) if (Part.RISE, m) in stays}
+        # A rise at slow speed is one above dry friction: it goes first, or would stand for that.
+        needed = {(Part.DRY, motor) for motor in range(now.hypothesis.structure.motors)}
+        needed = {(part, motor) for part, motor in needed if (Part.RISE, motor) in deletions}
         poor = [w for w in worths if w.key not in stays | needed | {*kept}]
         if not poor:
             return tuple(worths), now
