@@ -139,7 +139,7 @@ def _kept_out_unlike(found: ElasticSearch, residual: Sequence[AxisResidual]) -> 
 
 def _kept_out_sentence(left: AxisResidual) -> str:
     return sentence(
-        "Axis {axis}: the records kept out miss {after:.2g} {unit} rms, {floors_left:.0f} "
+        "Axis {axis}: the records kept out miss {after:.2g} {unit} rms, {floors_left:.1f} "
         "times the noise, of which those fitted show nothing: fit records like them.",
         axis=left.axis,
         after=left.after,
