@@ -12,7 +12,7 @@ from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
-from invid.likelihood.unknown_forces.value import along
+from invid.likelihood.unknown_forces.value import StackWork, along
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -27,7 +27,7 @@ def law_rows(now: FittedHypothesis, placed: PlacedLaw) -> list[Float64]:
             torque = -now.numbers.timing.acting(work.stack)[:, :, placed.spot.number]
             rows = torque[..., None, None] * np.eye(work.shape[2])[placed.spot.number][:, None]
         elif placed.law.reads:
-            rows = wave[:, :, None] * work.condensed.stiffness[:, :, placed.spot.number, None]
+            rows = _read(work, wave, placed.spot.number)
         else:
             rows = wave[:, :, None] * along(work.condensed.motion, vector)
         out.append(whitened_rows(work, rows).reshape(-1, wave.shape[2]))
@@ -36,14 +36,16 @@ def law_rows(now: FittedHypothesis, placed: PlacedLaw) -> list[Float64]:
 
 def scale_rows(now: FittedHypothesis, spot: Spot) -> list[Float64]:
     """(rows, 1) whitened rows in each stack of a motor's reading that is taken for another scale."""
-    number = spot.number
+    motor = spot.number
     return [
-        whitened_rows(
-            work,
-            (work.stack.position[:, :, number, None] * work.condensed.stiffness[:, :, number])[..., None],
-        ).reshape(-1, 1)
+        whitened_rows(work, _read(work, work.stack.position[..., motor, None], motor)).reshape(-1, 1)
         for work in now.fit.value.work
     ]
+
+
+def _read(work: StackWork, wave: Complex128, motor: int) -> Complex128:
+    """(R, F, M, k) torque missing by waves (R, F, k) by which a motor stands beyond its reading."""
+    return wave[:, :, None] * work.condensed.stiffness[:, :, motor, None]
 
 
 @dataclass(frozen=True, eq=False)

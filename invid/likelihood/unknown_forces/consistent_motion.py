@@ -172,15 +172,16 @@ class _Place:
         reach, power = noise.reach[:, :, place], noise.power[:, place]
         others = noise.power.copy()
         others[:, place] = 0.0
-        whitener = stack.noise_of(others, stack.position_noise).whitener
+        beside = stack.noise_of(others, stack.position_noise)
+        whitener = beside.whitener
         unknown = -stack.force[:, :, place]
         missing = stack.missing + unknown[..., None] * reach
         was = [law.lines(r, m) for r, m in zip(stack.stack.records, law.before, strict=True)]
-        answer = stack.others_answer(others, reach[..., None])[..., 0] - stack.condensed.receptance @ vector
+        answer = stack.answer_to(reach[..., None], beside)[..., 0] - stack.condensed.receptance @ vector
         receptance = -(answer @ vector)
         jumps = stack.condensed.jumps(omega) @ stack.root
-        by_ends, beside = stack.motion_by_ends(), stack.others_answer(others, jumps)
-        by_ends = replace(by_ends, lines=by_ends.lines + np.moveaxis(beside, 2, 0))
+        by_ends, more = stack.motion_by_ends(), stack.answer_to(jumps, beside)
+        by_ends = replace(by_ends, lines=by_ends.lines + np.moveaxis(more, 2, 0))
         moving = np.flatnonzero(np.abs(receptance) * (law.smoothed[0].own or 0.0) > FOLLOWING)
         beyond = min(MOST_LINES, int(moving.max(initial=0)) + 1)
         return cls(

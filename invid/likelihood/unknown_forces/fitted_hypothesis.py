@@ -150,6 +150,11 @@ class _OnKept:
     problem: Problem
     value: Value
 
+    @property
+    def total(self) -> float:
+        """−2 ln L."""
+        return float(self.value.share.sum())
+
     def smoothed(self, laws: Sequence[PlacedLaw], *, agreed: bool) -> Motions:
         """Their motion smoothed anew."""
         return self.motions.renewed(self.problem, self.value, laws, agreed=agreed)
@@ -202,17 +207,24 @@ class FittedHypothesis:
 
     @cached_property
     def _kept_at_rest(self) -> _OnKept | None:
-        if self.kept is None or self.kept_motions is None:
+        known = self._kept_unmoved
+        if self.kept is None or known is None:
             return None
-        known = self._on_kept(self.kept, self.kept_motions)
         for _ in range(KEPT_ROUNDS if self.follows_fit else 0):
-            before = known.value
+            before = known.total
             known = self._on_kept(
                 self.kept, known.smoothed(self.hypothesis.laws, agreed=self.motions.is_agreed)
             )
-            if abs(float(known.value.share.sum() - before.share.sum())) < STANDS:
+            if abs(known.total - before) < STANDS:
                 break
         return known
+
+    @cached_property
+    def _kept_unmoved(self) -> _OnKept | None:
+        """On their motion as it came here."""
+        if self.kept is None or self.kept_motions is None:
+            return None
+        return self._on_kept(self.kept, self.kept_motions)
 
     def _on_kept(self, kept: Bench, motions: Motions) -> _OnKept:
         columns = kept.columns(self.hypothesis, motions)
@@ -226,6 +238,12 @@ class FittedHypothesis:
         return self.kept_motions if known is None else known.motions
 
     @property
+    def _kept_now(self) -> _OnKept | None:
+        """On that motion."""
+        known: _OnKept | None = vars(self).get("_kept_at_rest")
+        return self._kept_unmoved if known is None else known
+
+    @property
     def follows_fit(self) -> bool:
         """Whether a law is on motion that a fit has said."""
         return any(p.needs_fit for p in self.hypothesis.laws)
@@ -233,14 +251,12 @@ class FittedHypothesis:
     @property
     def kept_total(self) -> float:
         """−2 ln L of the records kept out; that of those fitted where none are."""
-        return self.total if self.kept_value is None else float(self.kept_value.share.sum())
+        return self.total if self._kept_at_rest is None else self._kept_at_rest.total
 
-    @cached_property
+    @property
     def kept_total_unmoved(self) -> float:
-        """The same on their motion as far as it is known, as a fit is on motion that stays."""
-        if self.kept is None or self.kept_motions is None:
-            return self.total
-        return float(self._on_kept(self.kept, self.kept_motions).value.share.sum())
+        """The same on their motion as it came here, as a fit is on motion that stays."""
+        return self.total if self._kept_unmoved is None else self._kept_unmoved.total
 
     def at_rest_on_kept(self) -> FittedHypothesis:
         """The same with the motion of the records kept out at rest."""
@@ -304,9 +320,9 @@ class FittedHypothesis:
 
     def with_kept_agreed(self) -> FittedHypothesis:
         """The same on motion of the records kept out that agrees with the laws once more, at this fit."""
-        if self.kept is None or self._kept_known is None:
+        known = self._kept_now
+        if known is None:
             return self
-        known = self._on_kept(self.kept, self._kept_known)
         return replace(self, kept_motions=known.smoothed(self.hypothesis.laws, agreed=True))
 
     def with_agreed_motors(self) -> FittedHypothesis:
@@ -320,8 +336,8 @@ class FittedHypothesis:
             return self
         stacks = _agreed(smooth(self.fit.problem, self.fit.value), friction)
         now = replace(self, bench=Bench(stacks), motions=self.motions.on(stacks))
-        if self.kept is not None and self._kept_known is not None:
-            known = self._on_kept(self.kept, self._kept_known)
+        known = self._kept_now
+        if known is not None:
             stacks = _agreed(smooth(known.problem, known.value), friction)
             now = replace(now, kept=Bench(stacks), kept_motions=known.motions.on(stacks))
         return now.refit()

@@ -93,12 +93,11 @@ class SmoothedStack:
         sensors = (position_noise, self.stack.torque_noise)
         return missing_noise(self.condensed.stiffness, self.noise.reach, power, sensors)
 
-    def others_answer(self, power: Float64, missing: Complex128) -> Complex128:
-        """(A, n, k) motion of all coordinates by readings and unknown forces of ``power`` (A, P), as they are
-        estimated from missing torques (A, M, k)."""
-        noise = self.noise_of(power, self.position_noise)
+    def answer_to(self, missing: Complex128, noise: MissingNoise) -> Complex128:
+        """(A, n, k) motion of all coordinates by readings and unknown forces as they are estimated from
+        missing torques (A, M, k) of covariance ``noise``."""
         solved = noise.whitener.conj().transpose(0, 2, 1) @ (noise.whitener @ missing)
-        force = power[..., None] * (noise.reach.conj().transpose(0, 2, 1) @ solved)
+        force = noise.power[..., None] * (noise.reach.conj().transpose(0, 2, 1) @ solved)
         reading = self.position_noise[:, None] * (self.condensed.stiffness.conj().transpose(0, 2, 1) @ solved)
         pushed = self.condensed.receptance @ (self.vectors @ force)
         out: Complex128 = pushed - self.condensed.motion.transpose(0, 2, 1) @ reading

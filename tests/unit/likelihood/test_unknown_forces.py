@@ -170,7 +170,7 @@ def test_motion_across_free_play_agrees_with_it_and_stays_when_it_is_smoothed_ag
 
 def test_motion_that_agrees_with_a_law_stays_beside_a_force_that_is_in_none():
     """What else is unknown follows the law's force: held as it was it moved the place again, with a second
-    law in the chain without end (another hand's cell 522002: by millions in six rounds)."""
+    law in the chain without end (a cell of another hand: by millions in six rounds)."""
     _, found = fitted(gap=3e-3, cube=2e6)
     play = PlacedLaw(BacklashLaw(), Spot(Where.SPRING, 0), (float(np.log(2.8e-3)),))
     found = with_law(found.smoothed(), play)
