@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from machines.short_case_study import short_case_study
 
 from invid.config import CellConfig, parse_config
 from invid.errors import InvidError
@@ -30,7 +31,7 @@ from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.measurement import run_measurement
-from invid_drivers.simulated import CASE_STUDY, VirtualTimeBus, open_virtual_bus
+from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.object_dictionary import Entry
 
@@ -101,12 +102,7 @@ class Bench:
 
 def cell_config() -> CellConfig:
     """The case study at 250 Hz with one short experiment."""
-    data = yaml.safe_load(CASE_STUDY.read_text(encoding="utf-8"))
-    data["bus"]["cycle_s"] = 0.004
-    data["experiments"] = [
-        {"kind": "multisine", "band_Hz": [1, 12], "period_s": 2.048, "periods": 2, "settle_periods": 0,
-         "experiments": 1}
-    ]  # fmt: skip
+    data = short_case_study()
     data["simulation"]["defaults"] |= {"brake": False, "enable_s": 0.2}
     return parse_config(yaml.safe_dump(data))
 

@@ -26,9 +26,8 @@ from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import open_virtual_bus
+from machines.short_case_study import CYCLE_S, short_case_study
 
-CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
-CYCLE_S = 0.004
 RUN_S = 24.0
 """About how long a run without a fault takes in virtual time; faults come at any moment of it."""
 
@@ -145,18 +144,7 @@ def all_of(kind: str, fault: dict[str, Any]) -> list[dict[str, Any]]:
 
 def cell_config(faults: list[dict[str, Any]], seed: int) -> CellConfig:
     """The case study at 250 Hz with one short experiment."""
-    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    data["bus"]["cycle_s"] = CYCLE_S
-    data["experiments"] = [
-        {
-            "kind": "multisine",
-            "band_Hz": [1, 12],
-            "period_s": 2.048,
-            "periods": 2,
-            "settle_periods": 0,
-            "experiments": 1,
-        }
-    ]
+    data = short_case_study()
     data["simulation"] = {**data["simulation"], "seed": seed, "faults": faults}
     return parse_config(yaml.safe_dump(data))
 
