@@ -35,6 +35,7 @@ from invid.identification.identify import identify
 from invid.identification.kept_out import all_records
 from invid.identification.open_holds import open_masses
 from invid.identification.search_start import settled_about
+from invid.likelihood.unknown_forces.descent import fit
 from invid.model.chains import CoupledChains
 from invid.model.document import Model, parameter_vector
 from invid.model.forward import frf as chain_frf
@@ -111,7 +112,8 @@ def estimate(model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bound(plant: oracle.OraclePlant, recording: Recording) -> np.ndarray:
-    """Cramér-Rao standard deviations: true plant, true white noise, timing and friction unknown."""
+    """Cramér-Rao standard deviations: true plant, true white noise and no unknown force, timing and
+    friction unknown."""
     records = []
     for r in all_records(recording):
         share = 4.0 * r.step / r.span
@@ -122,6 +124,9 @@ def bound(plant: oracle.OraclePlant, recording: Recording) -> np.ndarray:
         couplings[i, j] = couplings[j, i] = value
     chains = CoupledChains.build(plant.masses, plant.springs, plant.dampers, couplings, axes=recording.axes)
     end = settled_about(chains, records)
+    problem, numbers = end.fit.problem, end.numbers
+    alone = replace(numbers, strength=np.full_like(numbers.strength, problem.least))
+    end = replace(end, fit=fit(problem, alone, 0))
     settled, covariance = chains_covariance(end, recording.axes, open_masses(end))
     deviation = dict(zip(parameter_vector(settled)[0], np.sqrt(np.diag(covariance)), strict=True))
     ordered = [n for kind in (".mass.", ".spring.", ".coupling") for n in deviation if kind in n]

@@ -19,6 +19,7 @@ from invid.likelihood.unknown_forces.fitted_hypothesis import (
     Hypothesis,
     first_strength,
     fit_hypothesis,
+    settle_hypothesis,
 )
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
 from invid.likelihood.unknown_forces.price import NUMBER
@@ -43,8 +44,6 @@ STILL = 1e-4
 """Velocity over that of the fastest axis below which friction of an axis is not seen (numerical)."""
 Start = Callable[[Bench, Structure, Bench | None, Known], FittedHypothesis]
 """The first fit of a structure on records fitted and kept out, with what is known."""
-SETTLED = 4
-"""Iterations from the believed plant by which strengths and timing are as the drawn noise has them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,4 +169,4 @@ def settled_about(chains: CoupledChains, records: Sequence[Record]) -> FittedHyp
     absent = frozenset((part, int(motor)) for motor in still for part in Part)
     hypothesis = Hypothesis(plant.structure, first_shapes(bench.stacks), absent=absent)
     numbers = Numbers(plant, timing, first_strength(bench.stacks, plant.structure))
-    return fit_hypothesis((bench, None), hypothesis, numbers, SETTLED)
+    return settle_hypothesis(bench, hypothesis, numbers)

@@ -453,6 +453,18 @@ def fit_hypothesis(
     )
 
 
+def settle_hypothesis(bench: Bench, hypothesis: Hypothesis, numbers: Numbers) -> FittedHypothesis:
+    """A hypothesis without laws at a plant that is known, with the strengths and the timing that the records
+    ask for; its curvature is that of all numbers."""
+    motions = Motions(bench.stacks, hypothesis.structure)
+    problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
+    numbers, problem = bounded(numbers, problem, hypothesis)
+    spread = problem.spread.copy()
+    spread[: numbers.plant.x.size] = HELD
+    settled = fit(replace(problem, spread=spread), numbers).numbers
+    return FittedHypothesis(bench, hypothesis, motions, fit(problem, settled, 0), None, None)
+
+
 def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:
     """(P, 2) small strengths to start from."""
     noise = float(np.mean([s.torque_noise.mean() for s in stacks]))

@@ -100,6 +100,28 @@ def test_expected_and_actual_scatter_agree_in_the_simulated_cell(
     assert np.all(np.abs(np.log(np.median(stated, axis=0) / foretold.std)) < np.log(1.35))
 
 
+def test_deviations_are_foretold_as_records_of_quiet_sensors_then_state_them(
+    cell: CellConfig, belief: Belief
+) -> None:
+    plan = make_plan(cell, model=belief)
+    usual, share = sensor_noise(cell), 0.01
+    noise = replace(
+        usual,
+        position=share * usual.position,
+        position_step=share * usual.position_step,
+        torque=share * usual.torque,
+        torque_step=share * usual.torque_step,
+    )
+    foretold = expected(cell, plan, belief, noise)
+    _, recording = fit_about(cell, plan.recorded, belief, noise)
+    model = identify(recording, masses=(3, 3, 3))
+    assert model.covariance is not None
+    stated = np.sqrt(np.diag(model.covariance))
+    ratio = (foretold.std / stated)[foretold.goal]
+    assert 0.7 < np.median(ratio) < 1.4, ratio
+    assert 0.4 < ratio.min() and ratio.max() < 2.5, ratio
+
+
 def test_a_mass_that_nothing_reaches_is_said_to_be_unseen(cell: CellConfig, belief: Belief) -> None:
     plan = make_plan(cell, axes=["A1"])
     lonely = replace(belief, chains=replace(belief.chains, couplings=np.zeros((3, 3))))
