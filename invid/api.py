@@ -362,10 +362,10 @@ def export(model: Model | Diagnosis, to: str, path: str | Path) -> Export:
     InputError
         A format that does not exist, a package that is missing, a file that cannot be written.
     """
-    from invid.exchange.export import FORMATS, export_model
+    from invid.exchange.export import export_model, format_names
 
     if not isinstance(to, str):
-        arguments.one_of(to, "to", tuple(FORMATS))
+        arguments.one_of(to, "to", format_names())
     return export_model(arguments.a_model(model), to, arguments.a_path(path, "path"))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from invid.errors import InputError
 from invid.exchange.linear_plant import LinearPlant, ParameterSpread, linear_plant, parameter_spread
+from invid.extensions import extension_names, load_extension
 from invid.model.document import Model, dump_json, model_to_json, save_bytes, save_text
 from invid.numerics.arrays import Float64
 
@@ -40,17 +41,17 @@ class Export:
 
 FORMATS = {"statespace": "scipy", "mjcf": "mujoco", "urdf": "", "fmu": "pythonfmu3"}
 """Formats, each a module of this folder with ``losses`` and ``content``, and the package it needs."""
+EXPORTS = "invid.exports"
+"""Entry point group of further such modules, by the names of their formats."""
 
 
 def export_model(model: Model, to: str, path: str | Path) -> Export:
     """Write ``model`` to ``path`` in another tool's format; see ``invid.export``."""
-    if to not in FORMATS:
-        raise InputError(f"--to {to}: there are {', '.join(FORMATS)}")
     target = Path(path)
     if target.is_dir():
         raise InputError(f"{target}: is a folder; name a file in it")
-    plant, spread = linear_plant(model), parameter_spread(model)
     module = _module(to)
+    plant, spread = linear_plant(model), parameter_spread(model)
     lost: list[str] = module.losses(plant)
     content: bytes = module.content(plant, spread, robot=model.robot, losses=lost)
     warnings = [] if spread.joint else [_no_covariance(spread)]
@@ -64,7 +65,17 @@ def export_model(model: Model, to: str, path: str | Path) -> Export:
     return export
 
 
+def format_names() -> tuple[str, ...]:
+    """The formats that there are, of installed packages too."""
+    return *FORMATS, *extension_names(EXPORTS)
+
+
 def _module(to: str) -> Any:
+    if to not in FORMATS:
+        further = load_extension(EXPORTS, to)
+        if further is None:
+            raise InputError(f"--to {to}: there are {', '.join(format_names())}")
+        return further
     try:
         return import_module(f"invid.exchange.{to}")
     except ModuleNotFoundError as error:

@@ -176,7 +176,8 @@ class Pdo(Strict):
 class Source(Strict):
     """How the file is to be read; whatever is left out is found out from the file."""
 
-    kind: Literal["csv", "mat", "parquet", "hdf5", "can_log", "mdf", "mcap", "bag", "tdms"] | None = None
+    kind: str | None = None
+    """Its format by name (csv, mat, …, or what an installed package reads), whatever its bytes say."""
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     decimal: Literal[".", ","] | None = None
     thousands: Literal[".", ",", " ", "'"] | None = None

@@ -6,7 +6,6 @@ Forms of drives come from above the core by the entry point group ``invid.drive_
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from invid.disk import not_written
 from invid.errors import InputError
+from invid.extensions import extension_names, load_extension
 from invid.model.document import describe_validation_error, dump_json, save_text
 from invid.tuning.document import tuning_table, tuning_to_json
 from invid.tuning.motor_scale import MotorScale
@@ -62,15 +62,15 @@ def ros2_form(tuning: Tuning) -> Form:
 
 def drive_names() -> list[str]:
     """Drives whose own values can be written."""
-    return sorted(p.name for p in entry_points(group=DRIVES))
+    return extension_names(DRIVES)
 
 
 def drive_form(name: str) -> DriveForm:
     """The form of a drive; InputError names those there are."""
-    for point in entry_points(group=DRIVES, name=name):
-        form: DriveForm = point.load()
-        return form
-    raise InputError(f"--drive {name}: there are {', '.join(drive_names()) or 'none installed'}")
+    form: DriveForm | None = load_extension(DRIVES, name)
+    if form is None:
+        raise InputError(f"--drive {name}: there are {', '.join(drive_names()) or 'none installed'}")
+    return form
 
 
 def read_motors(path: Path) -> dict[str, MotorScale]:

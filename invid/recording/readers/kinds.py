@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from invid.errors import InputError
+from invid.extensions import extension_names, load_extension
 from invid.recording.import_map import Source
 from invid.recording.tables import Table, with_whole_stamps
 
@@ -145,17 +145,20 @@ def kind_named(name: str) -> FileKind:
 @cache
 def further_kind(name: str) -> FileKind:
     """The kind that a package above the core offers: the core knows no bus."""
-    for point in entry_points(group=READERS, name=name):
-        kind: FileKind = point.load()
-        return kind
-    raise InputError(
-        f"no installed package reads files of the kind {name!r} (entry point group {READERS!r}); "
-        "CAN logs are read by invid_drivers: install invid again"
-    )
+    kind: FileKind | None = load_extension(READERS, name)
+    if kind is None:
+        here = [k.name for k in KINDS if k.reader and " " not in k.name]
+        raise InputError(
+            f"source.kind: no installed package reads files of the kind {name!r}",
+            way_out=f"there are {', '.join([*here, *extension_names(READERS)])}; a further one is offered in "
+            f"the entry point group {READERS!r}",
+            code="unknown_kind",
+        )
+    return kind
 
 
 def _all_further() -> Iterator[FileKind]:
-    return (further_kind(p.name) for p in entry_points(group=READERS))
+    return map(further_kind, extension_names(READERS))
 
 
 def _refused(
