@@ -62,6 +62,13 @@ SECTIONS = (
         ("--trials", "60", "--start", "2500000", "--jobs", "1"),
     ),
     Section(
+        "Import of large files",
+        "200 MB of three axes beside the library that reads them: polars, python-can, asammdf.",
+        "recording/bench_import.py",
+        (),
+        (),
+    ),
+    Section(
         "Processor time of a diagnosis",
         "One core, each command in a process of its own, counted after its imports; beside each figure its "
         "bar, and its ratio to a fixed workload, which says the same on a faster machine.",

@@ -121,12 +121,12 @@ def _one_amplitude(motion: _Motion, fastest: float) -> _Found:
     peaks = []
     for speed in motion.speed:
         moving = np.sign(np.where(np.abs(speed) > STOPS * fastest, speed, 0.0))
-        edges = np.flatnonzero(np.diff(moving) != 0) + 1
-        runs = np.split(np.abs(speed), edges)
-        peaks += [float(r.max()) for r in runs if r.size and r.max() > 0.1 * fastest]
-    if len(peaks) < 4:
+        starts = np.flatnonzero(np.diff(moving, prepend=np.nan) != 0)
+        highest = np.maximum.reduceat(np.abs(speed), starts)
+        peaks.append(highest[highest > 0.1 * fastest])
+    if sum(map(len, peaks)) < 4:
         return None
-    low, high = np.quantile(peaks, (0.1, 0.9))
+    low, high = np.quantile(np.concatenate(peaks), (0.1, 0.9))
     if high > ALIKE * low:
         return None
     return (

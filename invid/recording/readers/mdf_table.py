@@ -57,15 +57,17 @@ def _columns(path: Path) -> Columns | str:
             limit_numbers(claimed, path)
             for index, group in enumerate(groups):
                 clock = f"time of group {index}" if "time" in found.values else "time"
-                for number, channel in enumerate(group.channels):
-                    if channel.channel_type in (2, 3):
-                        continue  # the master itself
-                    signal = file.get(group=index, index=number)
+                # Kinds 2 and 3 are the master itself. One look for a group reads its blocks once.
+                asked = [k for k, c in enumerate(group.channels) if c.channel_type not in (2, 3)]
+                signals = file.select([(None, index, k) for k in asked], copy_master=False) if asked else []
+                for number, signal in zip(asked, signals, strict=True):
                     values, instants = np.asarray(signal.samples), np.asarray(signal.timestamps, dtype=float)
                     if values.dtype.kind in "iufb" and values.ndim == 1 and 2 <= values.size == instants.size:
-                        twice = f".{index}.{number}" if channel.name in found.values else ""
-                        found.add(clock, instants, "s")
-                        found.add(channel.name + twice, values, signal.unit or "", clock)
+                        name = group.channels[number].name
+                        if clock not in found.values:
+                            found.add(clock, instants, "s")
+                        twice = f".{index}.{number}" if name in found.values else ""
+                        found.add(name + twice, values, signal.unit or "", clock)
     except Exception as error:  # by kind of damage: MdfException, struct.error, ValueError, …
         return first_line(error)
     return found
