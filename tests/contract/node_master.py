@@ -1,7 +1,5 @@
 """A bare master for tests of the simulated nodes: frames by hand, no code of the drivers."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ Judged at the command line, by the true motion of plants that share no code with
 (`tests/machines/foreign`); the whole campaign is `benchmarks/drivers/bench_foreign_drives.py`.
 """
 
-from __future__ import annotations
-
 from itertools import cycle
 
 import pytest

@@ -4,8 +4,6 @@ stated time, at the way out.
 What drives, loads, computers and persons do meanwhile: `test_foreign_kinds.py`.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from pathlib import Path

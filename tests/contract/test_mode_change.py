@@ -1,8 +1,6 @@
 """Changes of mode with drives that take their time: SYNC goes on, and so does every loop. Judged on the
 frames on the wire, and on the plant."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

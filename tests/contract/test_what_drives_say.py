@@ -1,7 +1,5 @@
 """What a drive says of itself is heard before full amplitude, and named: statusword, 0x6077, 0x1000."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

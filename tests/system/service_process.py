@@ -1,7 +1,5 @@
 """A real ``invid serve`` in its own process, on a small simulated cell, over loopback."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

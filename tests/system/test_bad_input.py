@@ -1,7 +1,5 @@
 """Bad input: one message, the right exit status, no traceback, and files already there left alone."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -6,8 +6,6 @@ Afterwards the recording opens, holds every row that was on the disk, and its ``
 the service offers it, has every run in its store, and works it out or says why not.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

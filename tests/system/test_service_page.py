@@ -1,7 +1,5 @@
 """The page in headless Chromium: a person who never saw it re-identifies the small simulated cell."""
 
-from __future__ import annotations
-
 import contextlib
 import sqlite3
 import time

@@ -1,7 +1,5 @@
 """The page when something happens that it did not do itself: stops, restarts, silence, runs of others."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

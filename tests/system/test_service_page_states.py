@@ -1,7 +1,5 @@
 """Every state of a cell at a desk and on a phone: its one action lies in view, in one language."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

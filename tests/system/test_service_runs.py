@@ -1,7 +1,5 @@
 """Whole runs of a real ``invid serve`` with its real runner on a small simulated cell."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

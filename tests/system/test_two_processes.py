@@ -1,8 +1,6 @@
 """`invid simcell` in one process, `invid measure` in another: over AF_UNIX, over vcan where there is one;
 and what is left when either of them is killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

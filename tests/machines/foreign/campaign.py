@@ -1,7 +1,5 @@
 """One run of a kind: drawn, run, judged."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from dataclasses import dataclass

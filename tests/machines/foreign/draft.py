@@ -1,7 +1,5 @@
 """A cell and what happens to it, as a kind draws it; and the phases of an ordinary run."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass, field
 from typing import Any

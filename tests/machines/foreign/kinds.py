@@ -4,8 +4,6 @@ A kind of ``PHASES`` happens at an instant of a phase (``draft.at``) to its vict
 there all along. ``healthy`` ones must be measured.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A short record against an accepted model: nothing found where nothing changed, else what did."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

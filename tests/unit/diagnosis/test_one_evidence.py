@@ -1,7 +1,5 @@
 """A cause is weighed in one way, by finished fits; what is fitted is said, whatever the time left."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest

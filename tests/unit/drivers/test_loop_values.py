@@ -1,7 +1,5 @@
 """The loops of drives measured while they are closed, beside what a tuning predicts."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any

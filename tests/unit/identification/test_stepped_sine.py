@@ -1,7 +1,5 @@
 """Stepped sine as others record it: every frequency an experiment of its own, settled or from rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from two_masses import MASS, SPRING, held

@@ -1,7 +1,5 @@
 """The report: self-contained, escaped, the same for the same data, and its pictures true to the data."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
