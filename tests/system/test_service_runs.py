@@ -5,8 +5,6 @@ import os
 import resource
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -16,6 +14,7 @@ import httpx
 import pytest
 from service_process import SMALL_CELL, serving
 
+from invid.cli.app import run
 from invid.model.diagnosis_document import Verdict
 from invid.model.document import model_from_json
 from invid.recording import read_recording
@@ -164,10 +163,6 @@ def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> No
 
 
 def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_path: Path) -> None:
-    import contextlib
-    import resource
-    import socket
-
     def memory(process: int) -> int:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
         return pages * resource.getpagesize()
@@ -196,16 +191,12 @@ def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_
         assert service.client.get("/health/ready").status_code == 200
 
 
-def invid(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`invid …` in a folder, of which an end is expected."""
-    command = [sys.executable, "-c", "from invid.cli import main; main()", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
-
-
-def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_path: Path) -> None:
-    made = invid(tmp_path, "keys", "add", "plc:read,run", "--key-file", "keys.json")
-    assert made.returncode == 0, made.stderr
-    token = made.stdout.strip()
+def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["keys", "add", "plc:read,run", "--key-file", "keys.json"]) == 0
+    token = capsys.readouterr().out.strip()
     assert token not in (tmp_path / "keys.json").read_text()
     with serving(tmp_path, "--host", "0.0.0.0", "--key-file", "keys.json") as service:
         assert service.client.get("/api/v1/cells").status_code == 401
@@ -213,12 +204,15 @@ def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_pat
         assert answer.status_code == 200
 
 
-def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
+def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "small.yaml").write_text(SMALL_CELL)
-    refused = invid(tmp_path, "serve", "small.yaml", "--host", "0.0.0.0", "--port", "0")
-    assert refused.returncode == 2
-    assert "no key" in refused.stderr
-    assert "Traceback" not in refused.stderr
+    given = ["--host", "0.0.0.0", "--port", "0", "--data-dir", str(tmp_path / "data")]
+    assert run(["serve", str(tmp_path / "small.yaml"), *given]) == 2
+    said = capsys.readouterr().err
+    assert "no key" in said
+    assert "Traceback" not in said
 
 
 FILES = 256

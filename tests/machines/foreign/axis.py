@@ -66,7 +66,8 @@ class Axis:
     # --- dictionary --------------------------------------------------------------------------------
     def number(self, at: int, missing: int = 0) -> int:
         """A value of this axis."""
-        return self.node.number(at + self.base, missing)
+        entry = self.node.od.get(at + self.base)
+        return missing if entry is None else entry.value
 
     def put(self, at: int, value: int) -> None:
         """Set a value from inside."""

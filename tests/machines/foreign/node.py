@@ -49,6 +49,10 @@ class Node:
             for k in range(PDOS)
         ]
         """Event timer of each RPDO, that of each TPDO and its type: looked at in every step."""
+        self.listens = [
+            tuple(self.od.get(at + (k << 8), none) for at in (0x140001, 0x140002)) for k in range(PDOS)
+        ]
+        """Identifier and type of each RPDO: looked at with every frame."""
         self.next_beat = 0.0
         self.heard: float | None = None
         self.boxes: dict[int, bytes] = {}
@@ -121,11 +125,11 @@ class Node:
             if cob & 0x7F == self.number(0x101601) >> 16 & 0x7F and self.number(0x101601) & 0xFFFF:
                 self.heard = now
         elif self.nmt == OPERATIONAL:
-            for k in range(PDOS):
-                if cob == self.number(0x140001 + (k << 8)):
+            for k, (identifier, kind) in enumerate(self.listens):
+                if cob == identifier.value:
                     self.boxes[k] = data
                     self.got[k] = now
-                    if self.number(0x140002 + (k << 8)) > 240:
+                    if kind.value > 240:
                         self.take(k)
 
     def command_nmt(self, command: int) -> None:
