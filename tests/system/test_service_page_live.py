@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,14 @@ from invid_service.keys import add_key, revoke_key
 
 pytestmark = [pytest.mark.browser, pytest.mark.service, needs_browser]
 LONG = SMALL_CELL.replace("periods: 3}", "periods: 120}")
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Serving, Page]]:
+    """A service and its page, on which one run after another is stopped."""
+    folder = tmp_path_factory.mktemp("opened")
+    with serving(folder, cell=LONG) as service, looking(folder, service, 800, 1280) as page:
+        yield service, page
 
 
 def start(service: Serving, cell: str, **body: Any) -> str:
@@ -73,8 +82,6 @@ def test_a_stop_works_with_a_revoked_key_and_nothing_covers_it(tmp_path: Path) -
         page.driver.find_element("css selector", "form.ask input").send_keys(mine)
         page.driver.find_element("css selector", "form.ask button").click()
         page.wait_text("ready-title", "Ready")
-        location = start(service, "small")
-        page.wait_text("run-title", "Measuring")
         revoke_key(keys, "tablet")
         page.wait_text("notices", "The key is not valid")
         page.wait_text("offline", "nothing is known")
@@ -83,29 +90,53 @@ def test_a_stop_works_with_a_revoked_key_and_nothing_covers_it(tmp_path: Path) -
             assert not page.stop_covered(), width
         page.resize(800, 1280)
         assert page.barriers() == []
-        page.shown("stop").click()
-        service.wait(location, "stopped", timeout=10)
-        page.wait_text("stop-note", "small cell: stopped")
-
-
-def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
         location = start(service, "small")
-        page.wait_text("run-title", "Measuring")
-        offline = {"offline": True, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
-        page.driver.execute_cdp_cmd("Network.enable", {})
-        page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline)
+        service.wait_for_motion(location, share=0.0)
         page.shown("stop").click()
-        page.wait_text("stop-note", "STOP NOT CONFIRMED")
-        assert "USE THE EMERGENCY STOP" in page.text("stop-note")
-        page.wait_text("offline", "nothing is known of any cell")
-        assert service.client.get(location).json()["state"] == "running"
-        page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", {**offline, "offline": False})
         service.wait(location, "stopped", timeout=10)
         page.wait_text("stop-note", "small cell: stopped")
-        assert "NOT CONFIRMED" not in page.text("stop-note")
-        page.wait_text("run-title", "Stopped")
-        assert not page.driver.find_element("id", "offline").is_displayed()
+
+
+def test_the_stop_button_and_the_escape_key_stop_the_robot_at_once(opened: tuple[Serving, Page]) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    service, page = opened
+    page.wait_text("stop", "small cell")  # before the page knows its cells, it stops all of them
+    page.shown("stop").click()
+    page.wait_text("stop-note", "small cell: nothing was moving")
+    location = service.start()
+    page.wait_text("run-title", "Measuring")
+    began = time.monotonic()
+    page.driver.find_element("tag name", "body").send_keys(Keys.ESCAPE)
+    page.wait_text("stop-note", "Stopping small cell")
+    service.wait(location, "stopped", timeout=10)
+    assert time.monotonic() - began < 5
+    page.wait_text("stop-note", "small cell: stopped")
+    page.wait_text("run-title", "Stopped")
+    # Beside where it stopped; before it had moved there is no such place, and it follows the reason.
+    assert "What to do" in page.text("run-card")
+
+
+def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(
+    opened: tuple[Serving, Page],
+) -> None:
+    service, page = opened
+    location = start(service, "small")
+    page.wait_text("run-title", "Measuring")
+    offline = {"offline": True, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
+    page.driver.execute_cdp_cmd("Network.enable", {})
+    page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline)
+    page.shown("stop").click()
+    page.wait_text("stop-note", "STOP NOT CONFIRMED")
+    assert "USE THE EMERGENCY STOP" in page.text("stop-note")
+    page.wait_text("offline", "nothing is known of any cell")
+    assert service.client.get(location).json()["state"] == "running"
+    page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", {**offline, "offline": False})
+    service.wait(location, "stopped", timeout=10)
+    page.wait_text("stop-note", "small cell: stopped")
+    assert "NOT CONFIRMED" not in page.text("stop-note")
+    page.wait_text("run-title", "Stopped")
+    assert not page.driver.find_element("id", "offline").is_displayed()
 
 
 @pytest.mark.campaign

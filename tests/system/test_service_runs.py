@@ -7,12 +7,13 @@ import signal
 import socket
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import httpx
 import pytest
-from service_process import SMALL_CELL, serving
+from service_process import SMALL_CELL, Serving, serving
 
 from invid.cli.app import run
 from invid.model.diagnosis_document import Verdict
@@ -21,6 +22,13 @@ from invid.recording import read_recording
 
 # As many as all others together; every one needs a process with numba in it.
 pytestmark = pytest.mark.service
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serving]:
+    """One that lives on when a run of it is stopped or dies, or its clients misbehave."""
+    with serving(tmp_path_factory.mktemp("service")) as served:
+        yield served
 
 
 def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> None:
@@ -90,23 +98,24 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         assert again.chains.masses[0].tolist() == pytest.approx(model.chains.masses[0].tolist(), rel=1e-6)
 
 
-def test_a_stop_in_mid_motion_stops_the_drives_and_keeps_the_recording(tmp_path: Path) -> None:
-    with serving(tmp_path) as service:
-        location = service.start()
-        service.wait_for_motion(location)
-        began = time.monotonic()
-        answer = service.client.post("/api/v1/cells/small/stop")
-        assert time.monotonic() - began < 2.0  # queued behind the run it would take tens of seconds
-        assert answer.json()["stopping"] is True
-        service.wait(location, "stopped", timeout=10)
-        file = tmp_path / "stopped.h5"
-        file.write_bytes(service.client.get(f"{location}/recording").content)
-        with h5py.File(file) as recording:
-            assert recording.attrs["outcome"] == "aborted"
-        deadline = time.monotonic() + 10
-        while service.runners() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert service.runners() == []
+def test_a_stop_in_mid_motion_stops_the_drives_and_keeps_the_recording(
+    service: Serving, tmp_path: Path
+) -> None:
+    location = service.start()
+    service.wait_for_motion(location)
+    began = time.monotonic()
+    answer = service.client.post("/api/v1/cells/small/stop")
+    assert time.monotonic() - began < 2.0  # queued behind the run it would take tens of seconds
+    assert answer.json()["stopping"] is True
+    service.wait(location, "stopped", timeout=10)
+    file = tmp_path / "stopped.h5"
+    file.write_bytes(service.client.get(f"{location}/recording").content)
+    with h5py.File(file) as recording:
+        assert recording.attrs["outcome"] == "aborted"
+    deadline = time.monotonic() + 10
+    while service.runners() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert service.runners() == []
 
 
 @pytest.mark.parametrize("state", ["running", pytest.param("awaiting_arm", marks=pytest.mark.campaign)])
@@ -136,16 +145,16 @@ def test_a_service_killed_in_mid_run_takes_its_motion_with_it_and_starts_again_c
         assert service.client.get(location).json()["state"] == "interrupted"
 
 
-def test_a_killed_runner_makes_its_run_fail_and_the_next_one_starts(tmp_path: Path) -> None:
-    with serving(tmp_path) as service:
-        location = service.start()
-        service.wait(location, "running")
-        (runner,) = service.runners()
-        os.kill(runner, signal.SIGKILL)
-        body = service.wait(location, "failed")
-        assert body["error"]["code"] == "runner-died"
-        fresh = service.start(arm=False)
-        service.wait(fresh, "awaiting_arm")
+def test_a_killed_runner_makes_its_run_fail_and_the_next_one_starts(service: Serving) -> None:
+    location = service.start()
+    service.wait(location, "running")
+    (runner,) = service.runners()
+    os.kill(runner, signal.SIGKILL)
+    body = service.wait(location, "failed")
+    assert body["error"]["code"] == "runner-died"
+    fresh = service.start(arm=False)
+    service.wait(fresh, "awaiting_arm")
+    service.client.post(f"{fresh}/actions", json={"type": "cancel"})
 
 
 def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> None:
@@ -162,12 +171,12 @@ def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> No
         assert service.client.get(location).json()["state"] == "interrupted"
 
 
-def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_path: Path) -> None:
+def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(service: Serving) -> None:
     def memory(process: int) -> int:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
         return pages * resource.getpagesize()
 
-    with serving(tmp_path) as service, contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:
         host, port = service.url.removeprefix("http://").split(":")
 
         def connect() -> socket.socket:
