@@ -96,9 +96,9 @@ class Node:
             refused = axis.refuses(index << 8 | at & 0xFF, value)
             if refused is not None:
                 return refused or None
-        before, entry.value = entry.value, value
+        entry.value = value
         if axis is not None:
-            axis.written(index << 8 | at & 0xFF, value, before)
+            axis.written(index << 8 | at & 0xFF, value)
         return None
 
     # --- frames ------------------------------------------------------------------------------------
@@ -161,8 +161,6 @@ class Node:
     def sync(self, now: float) -> None:
         """Synchronous PDOs: what came is taken, what is asked for is sent."""
         self.syncs += 1
-        for axis in self.axes:
-            axis.at_sync(now)
         for k in range(PDOS):
             if self.number(0x140002 + (k << 8)) <= 240:
                 self.take(k)
