@@ -99,6 +99,7 @@ def test_the_loops_measured_while_closed_are_those_predicted_unless_the_model_is
     assert wrong.verdict in {Verdict.WORSE, Verdict.OTHER}, wrong.axes[0]
 
 
+@pytest.mark.campaign
 def test_values_in_a_drive_that_states_no_cycle_are_verified_as_predicted(tmp_path: Path) -> None:
     recording = measured(tmp_path, TUNED, loop_cycle_s=0.0)
     assert verified(recording, model(), TUNED).verdict is Verdict.AS_PREDICTED
