@@ -5,7 +5,6 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from page_browser import Page, looking, needs_browser
@@ -25,13 +24,6 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Serving, 
         yield service, page
 
 
-def start(service: Serving, cell: str, **body: Any) -> str:
-    given = {"mode": "full", "arm": True, **body}
-    answer = service.client.post(f"/api/v1/cells/{cell}/identifications", json=given)
-    assert answer.status_code == 202, answer.text
-    return str(answer.headers["Location"])
-
-
 def view(page: Page, name: str) -> None:
     page.driver.find_element("css selector", f"[data-view={name}]").click()
 
@@ -42,7 +34,7 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
     other.write_text(LONG.replace("small cell", "robot 02").replace("channel: small", "channel: two"))
     with serving(tmp_path, str(other), cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
         page.wait_text("stop", "small cell")
-        location = start(service, "other")
+        location = service.start("other")
         page.wait_text("moving", "robot 02")
         # The button stops what stands on it, and says so; the other one is named.
         page.shown("stop").click()
@@ -63,7 +55,7 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
         row = page.driver.find_element("css selector", "[data-cell=other]")
         assert "Stopped" in row.text, "not green after a stop"
         # One button a row.
-        location = start(service, "other")
+        location = service.start("other")
         page.wait_text("counts", "1 moving")
         row.find_element("css selector", "button.stop").click()
         service.wait(location, "stopped", timeout=10)
@@ -90,7 +82,7 @@ def test_a_stop_works_with_a_revoked_key_and_nothing_covers_it(tmp_path: Path) -
             assert not page.stop_covered(), width
         page.resize(800, 1280)
         assert page.barriers() == []
-        location = start(service, "small")
+        location = service.start("small")
         service.wait_for_motion(location, share=0.0)
         page.shown("stop").click()
         service.wait(location, "stopped", timeout=10)
@@ -121,7 +113,7 @@ def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(
     opened: tuple[Serving, Page],
 ) -> None:
     service, page = opened
-    location = start(service, "small")
+    location = service.start("small")
     page.wait_text("run-title", "Measuring")
     offline = {"offline": True, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
     page.driver.execute_cdp_cmd("Network.enable", {})
@@ -142,7 +134,7 @@ def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(
 @pytest.mark.campaign
 def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_stops(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
-        start(service, "small")
+        service.start("small")
         page.wait_text("phase", "left")
         os.kill(service.process.pid, signal.SIGSTOP)
         try:
@@ -166,7 +158,7 @@ def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_s
 @pytest.mark.campaign
 def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service, 800, 1280) as page:
-        location = start(service, "small")
+        location = service.start("small")
         page.wait_text("run-title", "Measuring")
         # The first experiment has begun, so that there is something to analyse.
         while service.client.get(location).json()["progress"] < 0.6:
