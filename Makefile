@@ -17,6 +17,8 @@ PYTEST    = bash -c 'TIMEFORMAT="%R s of wall clock, %U + %S s of processor time
             $(BIN)/python -m pytest -n 3 --dist loadgroup --timeout 600
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Containers set it; every process of the tests would then compile every module again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-panel campaign check check-page bench bench-page docs pictures serve system-packages lock sbom clean
 

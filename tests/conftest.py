@@ -5,8 +5,6 @@ Real processes share two cores with tests that compute: one that was not schedul
 machine's doing. A second failure is ours, and every second try stands in pytest's summary (RERUN).
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Promises of CONTRACT.md that every document has to keep, read again here."""
 
-from __future__ import annotations
-
 from typing import Any
 
 SURE = 3.0

@@ -1,8 +1,6 @@
 """The drives of another hand (`tests/machines/foreign`) on a wire in this process: what runs did, judged on
 their plant."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A bare master for tests of the simulated nodes: frames by hand, no code of the drivers."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any
@@ -98,11 +96,6 @@ class Master:
         if response[0] == 0x80:
             raise LookupError(f"{struct.unpack_from('<I', response, 4)[0]:#010x}")
         return int(struct.unpack_from("<" + code, response, 4)[0])
-
-    def abort_code(self, node: int, request: bytes) -> int:
-        """Abort code of a request that must be refused."""
-        response = self.answer(node, request)
-        return int(struct.unpack_from("<I", response, 4)[0]) if response[0] == 0x80 else 0
 
     def map_pdo(self, node: int, way: str, number: int, objects: list[int], kind: int = 1) -> None:
         """CiA 301's procedure; fails the test where the node refuses a step."""

@@ -1,7 +1,5 @@
 """Cycles of a cell made one by one, as a procedure makes them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 

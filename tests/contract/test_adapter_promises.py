@@ -1,8 +1,6 @@
 """One list of promises, kept by every adapter: our simulated drives, drives of another hand,
 and real hardware where INVID_HARDWARE names a config."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Habits of drives that people report, each of which ended a measurement after `check` had said "ready"."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """One run of every kind of fault (`tests/machines/faults.py`)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ Judged at the command line, by the true motion of plants that share no code with
 (`tests/machines/foreign`); the whole campaign is `benchmarks/drivers/bench_foreign_drives.py`.
 """
 
-from __future__ import annotations
-
 from itertools import cycle
 
 import pytest
@@ -21,9 +19,9 @@ OFTEN = (
     ("lets go in quick stop", ALWAYS, 2),
     ("encoder noise", ALWAYS, 1),
     ("held then not", ALWAYS, 1),
-    ("emergency stop released", "run", 2),
+    ("emergency stop released", "run", 3),
 )
-"""Before every commit: the kinds that have cost most; the last one needs an ordinary run beside its own."""
+"""Before every commit: the kinds that have cost most; the last one happens in the run of the first."""
 
 
 def rest() -> list[tuple[str, str, int]]:

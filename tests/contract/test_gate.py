@@ -1,7 +1,5 @@
 """What may leave for the bus: before it is known who is there, to nodes that nobody read, under power."""
 
-from __future__ import annotations
-
 import struct
 
 import can

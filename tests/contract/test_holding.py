@@ -4,8 +4,6 @@ Judged on the drives and the plant: 1 N·m pulls A1 (1 kg·m², no brake unless 
 until its drive holds it first.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

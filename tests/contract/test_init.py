@@ -1,7 +1,5 @@
 """``invid init`` against foreign drives: the right EDS or the reason why none, and what is asked."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -4,8 +4,6 @@ stated time, at the way out.
 What drives, loads, computers and persons do meanwhile: `test_foreign_kinds.py`.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from pathlib import Path
@@ -63,8 +61,9 @@ def test_the_journal_of_a_killed_run_gives_no_right_to_a_node_that_another_maste
 
 
 def test_no_disk_is_waited_for_while_an_axis_is_energised(
-    cell: ForeignCell, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    cell = ForeignCell(tmp_path, [LOADED], [True])
     flushed: list[tuple[bool, bool]] = []
     fsync = os.fsync
 

@@ -1,7 +1,5 @@
 """Injected faults do what they say; garbage on the bus never breaks a node."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The drives in real time, commanded by the ``canopen`` library as a master."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """NMT, heartbeat, EMCY and the CiA 402 states of the simulated node, seen from the bus."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Other masters on the bus: named before anything is sent, and in the middle of a run. Judged on the wire."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -7,8 +7,6 @@ well. After the last `check` every setting that was changed by hand must have it
 one the value from before the first command.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

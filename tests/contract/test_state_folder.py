@@ -1,7 +1,5 @@
 """What is remembered of a bus cannot be turned aside, or made up, by another user of the computer."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

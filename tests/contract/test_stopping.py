@@ -1,7 +1,5 @@
 """How drives stop: what is asked of them, what is written, and the ways that the plant then takes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 A drive of a few lines that obeys within a cycle, and a mass that falls where nothing holds it; no bus.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Drives without a torque mode, shaken by their torque offset while their own loops stay closed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

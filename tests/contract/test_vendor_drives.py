@@ -1,8 +1,6 @@
 """Drives with the gaps that vendors' drives have, built from the EDS files in ``drivers/eds``: what becomes
 of each at connect, with the same file named in the config."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 from typing import Any

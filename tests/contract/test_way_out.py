@@ -1,8 +1,6 @@
 """The way out when something stands in it: late answers, silent drives, drives that do not obey, a second
 Ctrl-C. Judged on the drives themselves, not on what the master believes."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from typing import Any

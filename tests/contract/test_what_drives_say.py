@@ -1,7 +1,5 @@
 """What a drive says of itself is heard before full amplitude, and named: statusword, 0x6077, 0x1000."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -104,19 +102,19 @@ def test_a_drive_that_no_longer_follows_its_target_is_named(tmp_path: Path) -> N
     assert re.search(r"A1.*no longer follows its target.*bit 12 is 0", str(error))
 
 
-def test_a_drive_that_never_follows_its_target_is_named_before_full_amplitude(tmp_path: Path) -> None:
-    fault = {"kind": "ignore_target", "axis": "A1", "at_s": 0.0}
-    phases, error = run(cell(fault), tmp_path / "run.h5")
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ({"kind": "ignore_target"}, r"A1.*did not move.*bit 12 is 0"),
+        ({"kind": "torque_display", "value": 7}, r"A1.*\(0x6077\) did not change.*moved.*0x6077"),
+    ],
+)
+def test_a_target_that_is_never_followed_and_a_torque_that_never_changes_are_named_before_full_amplitude(
+    fault: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    phases, error = run(cell({"axis": "A1", "at_s": 0.0, **fault}), tmp_path / "run.h5")
     assert isinstance(error, SafetyStop)
-    assert re.search(r"A1.*did not move.*bit 12 is 0", str(error))
-    assert not any("experiment" in p for p in phases)
-
-
-def test_a_torque_that_never_changes_is_named_before_full_amplitude(tmp_path: Path) -> None:
-    fault = {"kind": "torque_display", "axis": "A1", "at_s": 0.0, "value": 7}
-    phases, error = run(cell(fault), tmp_path / "run.h5")
-    assert isinstance(error, SafetyStop)
-    assert re.search(r"A1.*\(0x6077\) did not change.*moved.*0x6077", str(error))
+    assert re.search(said, str(error))
     assert not any("experiment" in p for p in phases)
 
 

@@ -1,7 +1,5 @@
 """Pages of the documentation as programs: their commands, what they show, what is printed instead."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

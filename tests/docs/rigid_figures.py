@@ -1,8 +1,6 @@
 """Figures of a rigid machine as the literature's tables have them: symmetric friction beside the selected,
 and the model simulated beside the record."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

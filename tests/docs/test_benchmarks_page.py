@@ -1,7 +1,5 @@
 """The page of benchmarks comes out of its command: every section, its command, what that printed."""
 
-from __future__ import annotations
-
 import re
 
 from pages import ROOT

@@ -6,8 +6,6 @@ by the product's own argument parser (running them would take robots or clusters
 blocks, by ``bash -n``; YAML. Not checked: structured text, nginx and printed output.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """The quickstart and the README's demo, word for word, by a reader with a reader's budget."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page on real machines, executed: every command as it stands there, every figure beside the record."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """The reference of recordings and maps keeps step with the code."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The documentation site is built without a warning: no dead link, no page outside the contents."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from importlib.util import find_spec

@@ -1,7 +1,5 @@
 """The tutorial's own commands, run on the measured bench, and its claims held against the load encoder."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -5,8 +5,6 @@ plot can show; what follows from the printed (rounded) lists is checked separate
 from full precision (misprint list, number 15).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hidden draws are a campaign: all of them by night, the panel in CI."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

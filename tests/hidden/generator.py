@@ -7,8 +7,6 @@ remains after a linear refit, over the power that sensor noise leaves in the sam
 own matrices.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any

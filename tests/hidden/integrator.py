@@ -7,8 +7,6 @@ smoothing); everything else acts at the midpoint predicted from the last two ste
 Shares nothing with ``invid``: no exact discretisation, no effect modules.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Simulates a hidden case, measures the size of its effect, and writes what the sensors saw."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Plants of the hidden tests and their own linear algebra (full matrices, dense solves)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

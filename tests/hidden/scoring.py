@@ -1,7 +1,5 @@
 """Whether a diagnosis found what was hidden. One rule for the tests and for the campaigns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Drives, sensors and plan of a hidden case: all but the effect."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Whole cells: friction on every axis and up to two faults; what is sure is named beside what is not."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """What is said where a search ends in no number at all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

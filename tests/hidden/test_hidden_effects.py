@@ -3,8 +3,6 @@
 Seeds are fixed; `python benchmarks/bench_hidden.py` draws as many as one likes.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

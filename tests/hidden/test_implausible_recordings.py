@@ -1,7 +1,5 @@
 """Recordings of what no machine does are refused in words, before anything is fitted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

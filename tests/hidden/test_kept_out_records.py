@@ -1,7 +1,5 @@
 """Records kept out show what those fitted hardly do: another amplitude, another load."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A search that starts with the friction that the identification found: what is there is named, no more."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What no cause of the catalogue explains becomes a law: found, simulated, saved, then a cause by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ Masses, springs, damping, friction, couplings, encoders, limits and holds are dr
 truth is read from the plant itself, cycle by cycle, past encoders and drives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -9,8 +9,6 @@ the plant and the drives, not on what the master believes:
 - the recording, where one was begun, opens, is marked, and has every sample taken before the stop.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ mass matrix does not depend on the pose), rotors stand on the ground, ``position
 shared with ``invid``: what comes out is arrays, and a file in the documented format.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The case study at 250 Hz with one short experiment, as a document that a test changes further."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -90,7 +90,7 @@ def test_what_swings_and_what_hardly_moves_is_measured_within_the_announcement(d
     assert_bounded(run(drawn))
 
 
-@pytest.mark.parametrize("seed", [401, 420, *(pytest.param(s, marks=BY_NIGHT) for s in (413, 415, 418, 423))])
+@pytest.mark.parametrize("seed", [420, *(pytest.param(s, marks=BY_NIGHT) for s in (401, 413, 415, 418, 423))])
 def test_an_axis_that_swings_is_not_taken_for_one_with_a_wrong_scale(seed: int) -> None:
     # Masses behind springs of 1 to 5 Hz, or friction above the slow doublet: the motor moves like a third or
     # like ten times of the axis.
@@ -111,7 +111,10 @@ def test_a_rigid_axis_five_times_off_is_refused(seed: int, factor: float) -> Non
 
 
 # Of the case study the first mass is a sixteenth of the branch: only a doublet that all masses follow tells.
-@pytest.mark.parametrize(("seed", "factor"), [(11, 10.0), (16, 10.0), (23, 10.0), (None, 0.1)])
+@pytest.mark.parametrize(
+    ("seed", "factor"),
+    [(11, 10.0), (None, 0.1), *(pytest.param(s, 10.0, marks=BY_NIGHT) for s in (16, 23))],
+)
 def test_an_elastic_axis_whose_torque_is_a_tenth_or_ten_times_what_its_drive_says_is_refused(
     seed: int | None, factor: float
 ) -> None:

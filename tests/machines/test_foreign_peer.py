@@ -1,7 +1,5 @@
 """The foreign drive does what CiA 402 says, its plant what Newton says; the judge sees what is done wrong."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

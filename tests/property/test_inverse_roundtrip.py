@@ -1,7 +1,5 @@
 """Random chains forward, inverse, back; and the lists that must be refused, with the reason."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg

@@ -1,7 +1,5 @@
 """A store with one finished run, made once a worker: who only looks at a result opens a copy of it."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

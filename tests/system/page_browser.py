@@ -1,7 +1,5 @@
 """Headless Chromium and what a person does with the page."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

@@ -1,7 +1,5 @@
 """A real ``invid serve`` in its own process, on a small simulated cell, over loopback."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -50,9 +48,9 @@ class Serving:
         self.process, self.url, self.folder = process, url, folder
         self.client = httpx.Client(base_url=url, timeout=20.0, trust_env=False)
 
-    def start(self, **body: Any) -> str:
-        """Start a run; its address."""
-        cell = self.client.get("/api/v1/cells").json()["cells"][0]["id"]
+    def start(self, cell: str | None = None, **body: Any) -> str:
+        """Start a run, of the first cell where none is named; its address."""
+        cell = cell or self.client.get("/api/v1/cells").json()["cells"][0]["id"]
         given = {"mode": "full", "arm": True, **body}
         answer = self.client.post(f"/api/v1/cells/{cell}/identifications", json=given)
         assert answer.status_code == 202, answer.text

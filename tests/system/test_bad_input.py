@@ -1,7 +1,5 @@
 """Bad input: one message, the right exit status, no traceback, and files already there left alone."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -144,22 +142,32 @@ def twice_the_node(document: dict) -> None:
     document["axes"][1]["node_id"] = document["axes"][0]["node_id"]
 
 
+def pull_the_cable(document: dict) -> None:
+    document["simulation"]["faults"] = [{"kind": "node_silent", "at_s": 0.0, "axis": "A3"}]
+
+
+def only_positions(document: dict) -> None:
+    document["simulation"].setdefault("axes", {})["A2"] = {"objects": {"lacks": ["0x6071"]}}
+
+
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "status", "words"),
     [
-        (unknown_key, ("cell.yaml", "torgue_limit")),
-        (negative_limit, ("cell.yaml", "-1")),
-        (twice_the_node, ("cell.yaml", "node")),
+        (unknown_key, 2, ("cell.yaml", "torgue_limit")),
+        (negative_limit, 2, ("cell.yaml", "-1")),
+        (twice_the_node, 2, ("cell.yaml", "node")),
+        (pull_the_cable, 5, ("A3",)),
+        (only_positions, 5, ("A2", "torque")),
     ],
 )
-def test_a_bad_config_is_refused_before_anything_is_touched(
-    change: Callable[[dict], None], words: tuple[str, ...], tmp_path: Path
+def test_a_bad_config_and_a_drive_that_cannot_are_refused_before_an_earlier_recording_is_touched(
+    change: Callable[[dict], None], status: int, words: tuple[str, ...], tmp_path: Path
 ) -> None:
     path = changed_config(tmp_path, change)
     kept = tmp_path / "rec.h5"
     kept.write_text("kept")
-    assert_one_message(invid("measure", str(path), "-o", str(kept)), 2, *words)
-    assert_one_message(invid("check", str(path)), 2, *words)
+    assert_one_message(invid("measure", str(path), "-o", str(kept)), status, *words)
+    assert_one_message(invid("check", str(path)), status, *words)
     assert kept.read_text() == "kept"
 
 
@@ -176,26 +184,3 @@ def test_a_recording_that_could_not_be_kept_is_refused_before_anything_moves(
         measure_to_file(config, tmp_path / out, progress=moved.append)
     assert moved == []
     assert (tmp_path / "pipe").is_fifo()
-
-
-def test_a_node_that_does_not_answer_is_a_drive_error(tmp_path: Path) -> None:
-    def pull_the_cable(document: dict) -> None:
-        document["simulation"]["faults"] = [{"kind": "node_silent", "at_s": 0.0, "axis": "A3"}]
-
-    cell = changed_config(tmp_path, pull_the_cable)
-    kept = tmp_path / "rec.h5"
-    kept.write_text("kept")
-    assert_one_message(invid("measure", str(cell), "-o", str(kept)), 5, "A3")
-    assert kept.read_text() == "kept"
-
-
-def test_a_drive_without_torque_mode_is_refused_in_plain_words(tmp_path: Path) -> None:
-    def only_positions(document: dict) -> None:
-        axes = document["simulation"].setdefault("axes", {})
-        axes.setdefault("A2", {})["objects"] = {"lacks": ["0x6071"]}
-
-    cell = changed_config(tmp_path, only_positions)
-    kept = tmp_path / "rec.h5"
-    kept.write_text("kept")
-    assert_one_message(invid("measure", str(cell), "-o", str(kept)), 5, "A2", "torque")
-    assert kept.read_text() == "kept"

@@ -1,7 +1,5 @@
 """``invid batch``: on this machine, on a real Dask cluster of two workers, with processes killed."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

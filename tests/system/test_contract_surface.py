@@ -1,7 +1,5 @@
 """What the contract promises of a result that cannot be trusted, seen from the command line alone."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

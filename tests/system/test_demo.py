@@ -1,7 +1,5 @@
 """`invid demo`: the promise of the README, checked as a user would see it."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

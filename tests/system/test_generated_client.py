@@ -1,7 +1,5 @@
 """A client generated from the committed OpenAPI document does a whole run by its own methods."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

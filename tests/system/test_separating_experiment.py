@@ -1,7 +1,5 @@
 """A diagnosis that cannot tell, the experiment it asks for on the same cell, the answer: all by commands."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Then the Python of docs/how-to/rest-languages.md, which starts a run of its own.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -6,8 +6,6 @@ Afterwards the recording opens, holds every row that was on the disk, and its ``
 the service offers it, has every run in its store, and works it out or says why not.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os
@@ -90,7 +88,8 @@ def is_worked_out(service: Serving, location: str) -> None:
 
 
 BY_NIGHT = pytest.mark.campaign
-"""What a kill of one of the two ends is in `make test` by ``test_service_runs.py``."""
+"""What a kill of one of the two ends is in `make test` by ``test_service_runs.py``, and of the command by
+``test_two_processes.py``."""
 
 
 @pytest.mark.parametrize(
@@ -130,6 +129,7 @@ def test_a_kill_at_a_random_instant_leaves_a_readable_recording_that_is_offered_
         is_worked_out(service, location)
 
 
+@BY_NIGHT
 def test_a_killed_command_leaves_rows_that_identify_reads(tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text(CELL)
     out, rows = tmp_path / "r.h5", tmp_path / "r.h5.rows"

@@ -1,7 +1,5 @@
 """What now, on a real service with its real runner: half the torque, a stop, what separates two causes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The page in headless Chromium: a person who never saw it re-identifies the small simulated cell."""
 
-from __future__ import annotations
-
 import contextlib
 import sqlite3
 import time
@@ -9,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from page_browser import looking, needs_browser
-from service_process import SMALL_CELL, STIFF_CELL, serving
+from service_process import STIFF_CELL, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.service]
 NOTHING_LEFT = """
@@ -110,29 +108,6 @@ def test_a_result_says_first_where_it_is_and_whether_to_accept_and_its_numbers_u
             assert not page.stop_covered(), width
             assert page.small_targets() == [], width
         assert page.mistakes() == []
-
-
-@needs_browser
-def test_the_stop_button_and_the_escape_key_stop_the_robot_at_once(tmp_path: Path) -> None:
-    from selenium.webdriver.common.keys import Keys
-
-    # The page asks every three seconds; on a fast machine the whole small run is over by then.
-    cell = SMALL_CELL.replace("periods: 3}", "periods: 60}")
-    with serving(tmp_path, cell=cell) as service, looking(tmp_path, service, 800, 1100) as page:
-        page.wait_text("stop", "small cell")  # before the page knows its cells, it stops all of them
-        page.shown("stop").click()
-        page.wait_text("stop-note", "small cell: nothing was moving")
-        location = service.start()
-        page.wait_text("run-title", "Measuring")
-        began = time.monotonic()
-        page.driver.find_element("tag name", "body").send_keys(Keys.ESCAPE)
-        page.wait_text("stop-note", "Stopping small cell")
-        service.wait(location, "stopped", timeout=10)
-        assert time.monotonic() - began < 5
-        page.wait_text("stop-note", "small cell: stopped")
-        page.wait_text("run-title", "Stopped")
-        # Beside where it stopped; before it had moved there is no such place, and it follows the reason.
-        assert "What to do" in page.text("run-card")
 
 
 @pytest.mark.campaign

@@ -1,7 +1,5 @@
 """Every state of a cell at a desk and on a phone: its one action lies in view, in one language."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -133,7 +131,7 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         page.action("cancelled", "retry")
         page.reads("cancelled")
         page.press(page.shown("retry"))
-        location = _start(service, "long")
+        location = service.start("long")
         service.wait_for_motion(location, share=TWO_PERIODS)
         for runner in service.runners():
             os.kill(runner, signal.SIGKILL)
@@ -142,7 +140,7 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         page.action("failed", "retry")
         page.reads("failed")
         _choose(page, "short")
-        location = _start(service, "short")
+        location = service.start("short")
         service.wait(location, "analysing")
         page.shown("progress")
         page.action("analysing", "cancel")
@@ -157,7 +155,7 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         page.action("succeeded", "again")
         page.reads("succeeded")
         page.press(page.shown("again"))
-        location = _start(service, "short", mode="test")
+        location = service.start("short", mode="test")
         page.shown("untrusted", 300)
         page.drawing()
         page.action("not to be trusted", "accept", "reject")
@@ -201,13 +199,6 @@ def _choose(page: Looking, cell: str) -> None:
 def _started(service: Serving, cell: str) -> str:
     runs = service.client.get("/api/v1/identifications", params={"cell": cell}).json()["identifications"]
     return str(runs[0]["links"]["self"])
-
-
-def _start(service: Serving, cell: str, **body: str) -> str:
-    given = {"mode": "full", "arm": True, **body}
-    answer = service.client.post(f"/api/v1/cells/{cell}/identifications", json=given)
-    assert answer.status_code == 202, answer.text
-    return str(answer.headers["Location"])
 
 
 def test_what_is_remembered_of_the_axes_is_asked_of_the_drives_by_one_button(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The page at the moments that count: what is wrong, does it matter, where, what now; for whom."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

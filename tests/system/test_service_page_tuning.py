@@ -1,7 +1,5 @@
 """Values for the drives: worked out on a finished run and shown; the drives' loops measured."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The store on a real PostgreSQL: Debian's server, started for these tests on a socket of its own."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import shutil

@@ -1,7 +1,5 @@
 """Behind a real nginx, under a path: the page, the calls and the events, for those who have a key."""
 
-from __future__ import annotations
-
 import shutil
 import socket
 import subprocess

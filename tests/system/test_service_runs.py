@@ -1,29 +1,34 @@
 """Whole runs of a real ``invid serve`` with its real runner on a small simulated cell."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import httpx
 import pytest
-from service_process import SMALL_CELL, serving
+from service_process import SMALL_CELL, Serving, serving
 
+from invid.cli.app import run
 from invid.model.diagnosis_document import Verdict
 from invid.model.document import model_from_json
 from invid.recording import read_recording
 
 # As many as all others together; every one needs a process with numba in it.
 pytestmark = pytest.mark.service
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serving]:
+    """One that lives on when a run of it is stopped or dies, or its clients misbehave."""
+    with serving(tmp_path_factory.mktemp("service")) as served:
+        yield served
 
 
 def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> None:
@@ -93,23 +98,24 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         assert again.chains.masses[0].tolist() == pytest.approx(model.chains.masses[0].tolist(), rel=1e-6)
 
 
-def test_a_stop_in_mid_motion_stops_the_drives_and_keeps_the_recording(tmp_path: Path) -> None:
-    with serving(tmp_path) as service:
-        location = service.start()
-        service.wait_for_motion(location)
-        began = time.monotonic()
-        answer = service.client.post("/api/v1/cells/small/stop")
-        assert time.monotonic() - began < 2.0  # queued behind the run it would take tens of seconds
-        assert answer.json()["stopping"] is True
-        service.wait(location, "stopped", timeout=10)
-        file = tmp_path / "stopped.h5"
-        file.write_bytes(service.client.get(f"{location}/recording").content)
-        with h5py.File(file) as recording:
-            assert recording.attrs["outcome"] == "aborted"
-        deadline = time.monotonic() + 10
-        while service.runners() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert service.runners() == []
+def test_a_stop_in_mid_motion_stops_the_drives_and_keeps_the_recording(
+    service: Serving, tmp_path: Path
+) -> None:
+    location = service.start()
+    service.wait_for_motion(location)
+    began = time.monotonic()
+    answer = service.client.post("/api/v1/cells/small/stop")
+    assert time.monotonic() - began < 2.0  # queued behind the run it would take tens of seconds
+    assert answer.json()["stopping"] is True
+    service.wait(location, "stopped", timeout=10)
+    file = tmp_path / "stopped.h5"
+    file.write_bytes(service.client.get(f"{location}/recording").content)
+    with h5py.File(file) as recording:
+        assert recording.attrs["outcome"] == "aborted"
+    deadline = time.monotonic() + 10
+    while service.runners() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert service.runners() == []
 
 
 @pytest.mark.parametrize("state", ["running", pytest.param("awaiting_arm", marks=pytest.mark.campaign)])
@@ -139,16 +145,16 @@ def test_a_service_killed_in_mid_run_takes_its_motion_with_it_and_starts_again_c
         assert service.client.get(location).json()["state"] == "interrupted"
 
 
-def test_a_killed_runner_makes_its_run_fail_and_the_next_one_starts(tmp_path: Path) -> None:
-    with serving(tmp_path) as service:
-        location = service.start()
-        service.wait(location, "running")
-        (runner,) = service.runners()
-        os.kill(runner, signal.SIGKILL)
-        body = service.wait(location, "failed")
-        assert body["error"]["code"] == "runner-died"
-        fresh = service.start(arm=False)
-        service.wait(fresh, "awaiting_arm")
+def test_a_killed_runner_makes_its_run_fail_and_the_next_one_starts(service: Serving) -> None:
+    location = service.start()
+    service.wait(location, "running")
+    (runner,) = service.runners()
+    os.kill(runner, signal.SIGKILL)
+    body = service.wait(location, "failed")
+    assert body["error"]["code"] == "runner-died"
+    fresh = service.start(arm=False)
+    service.wait(fresh, "awaiting_arm")
+    service.client.post(f"{fresh}/actions", json={"type": "cancel"})
 
 
 def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> None:
@@ -165,16 +171,12 @@ def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> No
         assert service.client.get(location).json()["state"] == "interrupted"
 
 
-def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_path: Path) -> None:
-    import contextlib
-    import resource
-    import socket
-
+def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(service: Serving) -> None:
     def memory(process: int) -> int:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
         return pages * resource.getpagesize()
 
-    with serving(tmp_path) as service, contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:
         host, port = service.url.removeprefix("http://").split(":")
 
         def connect() -> socket.socket:
@@ -198,16 +200,12 @@ def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_
         assert service.client.get("/health/ready").status_code == 200
 
 
-def invid(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`invid …` in a folder, of which an end is expected."""
-    command = [sys.executable, "-c", "from invid.cli import main; main()", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
-
-
-def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_path: Path) -> None:
-    made = invid(tmp_path, "keys", "add", "plc:read,run", "--key-file", "keys.json")
-    assert made.returncode == 0, made.stderr
-    token = made.stdout.strip()
+def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["keys", "add", "plc:read,run", "--key-file", "keys.json"]) == 0
+    token = capsys.readouterr().out.strip()
     assert token not in (tmp_path / "keys.json").read_text()
     with serving(tmp_path, "--host", "0.0.0.0", "--key-file", "keys.json") as service:
         assert service.client.get("/api/v1/cells").status_code == 401
@@ -215,12 +213,15 @@ def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_pat
         assert answer.status_code == 200
 
 
-def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
+def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "small.yaml").write_text(SMALL_CELL)
-    refused = invid(tmp_path, "serve", "small.yaml", "--host", "0.0.0.0", "--port", "0")
-    assert refused.returncode == 2
-    assert "no key" in refused.stderr
-    assert "Traceback" not in refused.stderr
+    given = ["--host", "0.0.0.0", "--port", "0", "--data-dir", str(tmp_path / "data")]
+    assert run(["serve", str(tmp_path / "small.yaml"), *given]) == 2
+    said = capsys.readouterr().err
+    assert "no key" in said
+    assert "Traceback" not in said
 
 
 FILES = 256

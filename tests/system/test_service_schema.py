@@ -1,7 +1,5 @@
 """Schemathesis over the whole OpenAPI with the simulated cell behind it: no 5xx, no schema violation."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Real drives behind an adapter that takes four milliseconds: refused before one of them is enabled."""
 
-from __future__ import annotations
-
 import collections
 import json
 import os

@@ -1,8 +1,6 @@
 """`invid simcell` in one process, `invid measure` in another: over AF_UNIX, over vcan where there is one;
 and what is left when either of them is killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -18,6 +16,7 @@ import pytest
 import yaml
 from machines.short_case_study import short_case_study
 
+from invid.cli.app import run
 from invid.recording import Outcome, read_recording
 
 ROOT = Path(__file__).parents[2]
@@ -267,13 +266,14 @@ def test_the_same_over_the_kernels_virtual_can(folder: Path) -> None:
         cell.communicate()
 
 
-def test_nobody_on_the_bus_is_exit_5_and_writes_nothing(folder: Path) -> None:
-    config(folder)
+def test_nobody_on_the_bus_is_exit_5_and_writes_nothing(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
     before = folder / "run.h5"
     before.write_bytes(b"an earlier file")
-    measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
-    _, said = measure.communicate(timeout=240)
-    assert measure.returncode == 5, said
+    assert run(["measure", str(config(folder)), "-o", str(before)]) == 5
+    said = capsys.readouterr().err
     assert "simcell" in said
     assert "Traceback" not in said
     assert before.read_bytes() == b"an earlier file"

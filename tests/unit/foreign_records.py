@@ -1,7 +1,5 @@
 """What tests of imports share: files written, a first map asked for, a map that is read."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rigid models, and an axis of one mass that moves far, integrated here by code of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Models with numbers and deviations that a test states: what comparisons are judged on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """``import invid``: the job in Python as the contract shows it, judged on what was hidden."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import FrozenInstanceError, replace

@@ -1,7 +1,5 @@
 """No module of the core needs itself to be there first; one loop owns the bus."""
 
-from __future__ import annotations
-
 import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A full disk: the message names the file, the room left and the way out; what was there stays."""
 
-from __future__ import annotations
-
 import errno
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Bill of materials, licence list and the workflow keep step with lock, project and scripts."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

@@ -1,7 +1,5 @@
 """Records that others published: fetched (here from a server on loopback), checked, with their licence."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import threading

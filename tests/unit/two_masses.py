@@ -1,8 +1,6 @@
 """A two-mass axis integrated exactly for torque held over the sample: shares nothing with ``invid`` but the
 containers."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import expm
 

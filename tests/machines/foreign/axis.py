@@ -66,7 +66,8 @@ class Axis:
     # --- dictionary --------------------------------------------------------------------------------
     def number(self, at: int, missing: int = 0) -> int:
         """A value of this axis."""
-        return self.node.number(at + self.base, missing)
+        entry = self.node.od.get(at + self.base)
+        return missing if entry is None else entry.value
 
     def put(self, at: int, value: int) -> None:
         """Set a value from inside."""
@@ -88,7 +89,7 @@ class Axis:
                 return code
         return None
 
-    def written(self, at: int, value: int, before: int) -> None:
+    def written(self, at: int, value: int) -> None:
         """React to a write."""
         if at == 0x604000:
             self.control(value)
@@ -295,11 +296,6 @@ class Axis:
             self.hold_here()
 
     # --- time --------------------------------------------------------------------------------------
-    def at_sync(self, now: float) -> None:
-        """Nothing is kept for SYNC but what PDOs bring."""
-        for habit in self.hooks["at_sync"]:
-            habit.at_sync(self, now)
-
     def tick(self, now: float) -> None:
         """One step of timers, loop and plant."""
         plant = self.plant

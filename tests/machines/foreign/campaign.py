@@ -1,10 +1,8 @@
 """One run of a kind: drawn, run, judged."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -15,6 +13,8 @@ from .draft import ALWAYS, Draft, Timeline, draw_cell, read_timeline
 from .judge import Verdict, judge_all
 from .kinds import KINDS
 
+ORDINARY = "ordinary"
+"""The kind to which nothing happens."""
 UNKNOWN = Timeline({}, [], [], None)
 
 
@@ -61,25 +61,20 @@ class Campaign:
         folder = Path(tempfile.mkdtemp(prefix=name, dir=self._keep))
         try:
             cell = Cell(folder, d.spec(), d.config())
-            return [cell.command(name, events=events) for name, events in [("measure", d.events), *d.later]]
+            runs = [cell.command(name, events=events) for name, events in [("measure", d.events), *d.later]]
+            if d.kind == ORDINARY:
+                recorded = recorded_in(cell.recording, runs[0], len(d.axes))
+                self._known[d.cell_key] = read_timeline(runs[0], len(d.axes), recorded)
+            return runs
         finally:
             if self._keep is None:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def timeline(self, d: Draft) -> Timeline:
         """How an ordinary run of this machine goes."""
-        key = d.cell_key
-        if key not in self._known:
-            folder = Path(tempfile.mkdtemp(prefix="foreign-"))
-            try:
-                cell = Cell(folder, d.spec(), d.config())
-                run = cell.command("measure")
-                self._known[key] = read_timeline(
-                    run, len(d.axes), recorded_in(cell.recording, run, len(d.axes))
-                )
-            finally:
-                shutil.rmtree(folder, ignore_errors=True)
-        return self._known[key]
+        if d.cell_key not in self._known:
+            self._commands(replace(d, kind=ORDINARY))
+        return self._known[d.cell_key]
 
 
 def recorded_in(path: Path, run: Run, axes: int) -> list[tuple[float, float]]:

@@ -5,8 +5,6 @@ run = cell.command("measure", events=[{"what": "stop", "at": 12.0}])
 run.status, run.document, run.words, run.trace
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -4,8 +4,6 @@ A document may say it as data instead: ``axes``, a list of objects with ``name``
 of the values of ``SAID_STATES``; then the words count no more.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The object dictionary of a node with so many axes, typed from CiA 301 and 402-2."""
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass

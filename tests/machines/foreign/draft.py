@@ -1,7 +1,5 @@
 """A cell and what happens to it, as a kind draws it; and the phases of an ordinary run."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,7 +8,6 @@ import numpy as np
 
 from .axis import STATES
 from .cell import Run
-from .dictionary import PER_RAD
 
 PHASES = ("enabling", "rest", "trial", "run", "hold", "leaving")
 """Powering up; enabled and still, stop test; first motions; what is recorded; standing while another is moved
@@ -140,10 +137,6 @@ class Draft:
     def cell_key(self) -> tuple[Any, ...]:
         """What an ordinary run of the same machine depends on."""
         return tuple((a.load, a.brake, a.stated, a.inertia) for a in self.axes)
-
-    def counts(self, radians: float) -> int:
-        """Encoder counts."""
-        return round(radians * PER_RAD)
 
 
 def draw_cell(kind: str, phase: str, loads: int, seed: int, *, brakes: bool | None = None) -> Draft:

@@ -25,9 +25,6 @@ class Habit:
     def tick(self, axis: Axis, now: float) -> None:
         """Every step."""
 
-    def at_sync(self, axis: Axis, now: float) -> None:
-        """Every SYNC."""
-
     def refuses(self, axis: Axis, at: int, value: int) -> int | None:
         """Abort code of a write; 0: acknowledged and forgotten."""
         return None
@@ -241,17 +238,6 @@ class TransientAbort(Habit):
             return None
         self.times -= 1
         return self.code
-
-
-@dataclass
-class Refuses(Habit):
-    """A write of an object is aborted."""
-
-    index: int
-    code: int
-
-    def refuses(self, axis: Axis, at: int, value: int) -> int | None:
-        return self.code if at >> 8 == self.index and value != axis.number(at) else None
 
 
 @dataclass

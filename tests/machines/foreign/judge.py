@@ -1,7 +1,5 @@
 """Judges a run by the plant's true motion and torque; what was said is held against it."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,52 +1,35 @@
 """Kinds of drives and events: each takes an ordinary cell and makes it one of its kind.
 
 A kind of ``PHASES`` happens at an instant of a phase (``draft.at``) to its victims; one of ``ALWAYS`` is
-there all along. ``healthy`` ones must be measured.
+there all along. ``healthy`` ones must be measured. What a row cannot hold is a function below the table.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
+from .dictionary import PER_RAD
 from .draft import ALWAYS, PHASES, Draft, DraftAxis
-
-Make = Callable[[Draft], None]
-
-
-@dataclass(frozen=True)
-class Kind:
-    """One row."""
-
-    make: Make
-    phases: tuple[str, ...] = PHASES
-    loads: tuple[int, ...] = (0, 1, 2, 3)
-    brakes: bool | None = None
-    healthy: bool = False
-
-
-KINDS: dict[str, Kind] = {}
-
-
-def kind(
-    phases: tuple[str, ...] = PHASES,
-    loads: tuple[int, ...] = (0, 1, 2, 3),
-    *,
-    brakes: bool | None = None,
-    healthy: bool = False,
-) -> Callable[[Make], Make]:
-    """Enter a kind into the table, by the name of its function."""
-
-    def enter(make: Make) -> Make:
-        KINDS[make.__name__.replace("_", " ")] = Kind(make, phases, loads, brakes, healthy)
-        return make
-
-    return enter
-
 
 ONCE = (ALWAYS,)
 LOADED = (1, 2, 3)
+AT = object()
+"""The instant at which it happens."""
+
+
+class OneOf(tuple[Any, ...]):
+    """One of these, drawn once a run."""
+
+
+def one_of(*options: Any) -> OneOf:
+    """Whatever is drawn."""
+    return OneOf(options)
+
+
+def counts(radians: float) -> int:
+    """Encoder counts."""
+    return round(radians * PER_RAD)
 
 
 def loaded(d: Draft) -> list[DraftAxis]:
@@ -54,11 +37,259 @@ def loaded(d: Draft) -> list[DraftAxis]:
     return [a for a in d.victims if a.load]
 
 
-# --- persons and computers ---------------------------------------------------------------------------
-@kind()
-def stop(d: Draft) -> None:
-    """A person stops the run."""
-    d.events.append({"what": "stop", "at": d.at})
+@dataclass(frozen=True)
+class Kind:
+    """One row."""
+
+    phases: tuple[str, ...] = PHASES
+    loads: tuple[int, ...] = (0, 1, 2, 3)
+    brakes: bool | None = None
+    healthy: bool = False
+    habits: Any = ()
+    """Of every victim: names and keys."""
+    carrying: bool = False
+    """Of those alone that carry something."""
+    event: Any = None
+    """What happens to the whole cell at the instant."""
+    plant: dict[str, Any] = field(default_factory=dict)
+    tightest: float | None = None
+    falls_after: float | None = None
+    """Seconds after which its brake takes what falls."""
+    is_cut_off: bool = False
+    """It stops the run, and nothing may enable it again before a person acts."""
+    also: dict[str, Any] = field(default_factory=dict)
+    """Further fields of the draft."""
+    more: Callable[[Draft], None] | None = None
+    """What no row holds."""
+
+    def make(self, d: Draft) -> None:
+        """Make a cell one of this kind."""
+
+        def drawn(what: Any) -> Any:
+            if isinstance(what, OneOf):
+                return drawn(d.rng.choice(what))
+            if isinstance(what, dict):
+                return {key: drawn(value) for key, value in what.items()}
+            if isinstance(what, list | tuple):
+                return type(what)(map(drawn, what))
+            return d.at if what is AT else what
+
+        habits, event = drawn(self.habits), drawn(self.event)
+        for name, value in drawn(self.also).items():
+            setattr(d, name, value)
+        d.events += [{"at": d.at, **event}] if event else []
+        for a in loaded(d) if self.carrying else d.victims:
+            for name, keys in habits:
+                a.habit(name, **keys)
+            a.plant |= self.plant
+            a.tightest = self.tightest
+            if self.falls_after is not None:
+                a.falls_until_braked(self.falls_after)
+        if self.is_cut_off:
+            d.never_again = d.must_stop = True
+        if self.more is not None:
+            self.more(d)
+
+
+STO = {"seconds": one_of(0.3, 5.0, 40.0)}
+KINDS = {
+    "ordinary": Kind(ONCE, healthy=True),
+    # --- persons and computers -----------------------------------------------------------------------
+    "stop": Kind(event={"what": "stop"}),
+    # 0x6085 and 0x6084 take seconds to stop.
+    "stop with a slow ramp": Kind(
+        ("run",), (0, 1, 2), event={"what": "stop"},
+        also={"found": {0x608500: counts(0.1), 0x608400: counts(0.1)}},
+    ),
+    "master dies": Kind(event={"what": "master dies"}),
+    "computer suspended": Kind(
+        loads=(0, 1, 2), event={"what": "suspended", "seconds": one_of(0.2, 1.5, 6.0)},
+        also={"never_again": True},
+    ),
+    # --- quick stop ----------------------------------------------------------------------------------
+    # 0x605A is refused under power, or without effect before it is enabled again.
+    "option refused under power": Kind(
+        ONCE, (0, 1, 2), habits=[("OptionUnderPower", {"how": one_of("refused", "ignored")})],
+        also={"found": {0x605A00: one_of(0, 2)}},
+    ),
+    # --- modes ---------------------------------------------------------------------------------------
+    # 0x6060 is taken without power only, and the enable input is opened for a while.
+    "modes at rest enable input opened": Kind(
+        PHASES, (0, 1, 2), habits=[("ModesAtRest", {}), ("EnableInput", {"at": AT, **STO})],
+        falls_after=0.0, is_cut_off=True,
+    ),
+    # The same, opened while it is off for its next mode, for longer than anybody waits.
+    "modes at rest enable input opened between": Kind(
+        ONCE, (0, 1), brakes=True, is_cut_off=True,
+        habits=[
+            ("ModesAtRest", {}),
+            ("EnableInput", {"leaving": one_of(1, 2, 3), "seconds": one_of(20.0, 60.0, 500.0)}),
+        ],
+    ),
+    # 0x6061 shows a mode before it acts, or −1 until then.
+    "mode shown early": Kind(
+        ONCE, (0, 1, 2), healthy=True,
+        habits=[
+            ("ModeShown", one_of(
+                {"how": "early", "seconds": 0.03}, {"how": "early", "seconds": 0.1},
+                {"how": "blank", "seconds": 0.5}, {"how": "blank", "seconds": 4.0},
+            ))
+        ],
+    ),
+    # --- power ---------------------------------------------------------------------------------------
+    # A drive starts anew.
+    "supply lost": Kind(loads=(0, 1, 2), habits=[("Reboots", {"at": AT})], falls_after=0.0, is_cut_off=True),
+    # No torque any more, and 0x6077 shows the demand.
+    "torque gone and echoed": Kind(loads=(0, 1, 2), habits=[("TorqueGone", {"at": AT})], falls_after=0.15),
+    # --- sensors -------------------------------------------------------------------------------------
+    # 0x6077 shows the amount alone.
+    "torque without sign": Kind(ONCE, (0, 1, 2), habits=[("TorqueShown", {"how": "unsigned"})]),
+    # 0x6077 passes a filter for display.
+    "torque filtered": Kind(
+        ONCE, (0, 1), healthy=True, habits=[("TorqueShown", {"filter_s": one_of(0.005, 0.02)})]
+    ),
+    # --- loads ---------------------------------------------------------------------------------------
+    # 4 % of rated torque, with a load and with nothing carried.
+    "dry friction": Kind(ONCE, (1, 2), healthy=True, plant={"coulomb": 2.0}),
+    "dry friction free": Kind(ONCE, (0,), healthy=True, plant={"coulomb": 2.0}),
+    # --- brakes --------------------------------------------------------------------------------------
+    # The brake falls in after the torque has gone only.
+    "brake after torque": Kind(
+        ONCE, LOADED, brakes=True, healthy=True, carrying=True,
+        habits=[("Constants", {"axis": {"brake_first": False}})],
+    ),
+    # From an instant on it does not hold.
+    "brake worn out": Kind(
+        ("trial", "run", "hold", "leaving"), LOADED, brakes=True, carrying=True,
+        habits=[("BrakeFails", {"at": AT})],
+    ),
+    # --- objects -------------------------------------------------------------------------------------
+    # One transfer of an object is aborted with a code that says nothing of the object.
+    "transient abort": Kind(
+        ONCE, (0, 1), tightest=10.0,
+        habits=[
+            ("TransientAbort", {
+                "index": one_of(0x6072, 0x6077, 0x605A, 0x6007, 0x607F, 0x6065),
+                "code": one_of(0x08000020, 0x05040000, 0x08000022, 0x06060000), "only_writes": False,
+            })
+        ],
+        also={"found": {0x607200: 200}, "experiment": {"amplitude": 0.7}},
+    ),
+    # 0x6065 of 2 degrees, and a fault beyond it.
+    "found following window": Kind(
+        ONCE, (0, 1, 2), falls_after=0.0, also={"found": {0x606500: counts(0.035), 0x606600: 10}}
+    ),
+    # 0x6072 below what the config permits, or a limit of one direction.
+    "found torque limit": Kind(
+        ONCE, (0, 1, 2), tightest=12.0,
+        also={
+            "found": one_of({0x607200: 240}, {0x60E000: 240}, {0x60E100: 240}),
+            "experiment": {"amplitude": 0.7},
+        },
+    ),
+    # 0x60B0, 0x607C and 0x60B2 shift each target, or add to each torque.
+    "added position": Kind(
+        ONCE, (0, 1), also={"found": {0x60B000: one_of(counts(0.03), counts(-0.1), counts(0.2))}}
+    ),
+    "added home": Kind(
+        ONCE, (0, 1), habits=[("AddsHome", {})],
+        also={"found": {0x607C00: one_of(counts(0.05), counts(-0.1))}},
+    ),
+    "added torque": Kind(ONCE, (0, 1), also={"found": {0x60B200: one_of(40, -60, 100)}}),
+    # 0x6093 is not 1: counts of 0x6064 are others than those of 0x608F.
+    "position factor": Kind(
+        ONCE, (0, 1),
+        also={
+            "found": one_of(
+                {0x609301: 5, 0x609302: 168}, {0x609301: 336, 0x609302: 10}, {0x609301: 2, 0x609302: 1}
+            )
+        },
+    ),
+    # 0x607E turns positions, and torque not.
+    "polarity": Kind(ONCE, (0, 1), also={"found": {0x607E00: 0x80}}),
+    # 0x607B: counts go round once a turn, and the axis stands near the seam.
+    "position range": Kind(
+        ONCE, (0, 1), healthy=True,
+        also={"found": one_of({0x607B01: -300, 0x607B02: 65235}, {0x607B01: -65300, 0x607B02: 235})},
+    ),
+    # 0x1019 is set: SYNC is taken with a counter only, and it can be set to 0.
+    "sync counter": Kind(ONCE, (0, 1), healthy=True, also={"found": {0x101900: 240}}),
+    # 0x1800:3 is 10 ms, and can be set to 0.
+    "inhibit time": Kind(ONCE, (0, 1), healthy=True, also={"found": {0x180003: 100}}),
+    # 0x1017 takes 100 ms and more only.
+    "slow heartbeat": Kind(
+        ONCE, (0, 1), healthy=True, also={"nodes": {"least": {"101700": one_of(100, 200)}}}
+    ),
+    "quick stop option 5": Kind(ONCE, (0, 1), healthy=True, also={"found": {0x605A00: one_of(5, 6)}}),
+    # 6 ms to an answer.
+    "slow SDO": Kind(ONCE, (0, 1, 2), healthy=True, also={"nodes": {"sdo_s": 0.006}}),
+    # 0x6072 counts in the drive's own loops only.
+    "no limit in torque mode": Kind(ONCE, (0, 1, 2), healthy=True, habits=[("NoLimitInTorqueMode", {})]),
+    # TPDO 1 comes every 10 ms as well.
+    "event PDOs": Kind(ONCE, (0, 1), healthy=True, also={"nodes": {"event_s": 0.01}}),
+    # --- bus -----------------------------------------------------------------------------------------
+    # A node says nothing any more, and hears.
+    "node silent": Kind(loads=(0, 1, 2), habits=[("Silent", {"at": AT, "what": "all"})]),
+    # A node answers no SDO any more; its PDOs come.
+    "no SDO answers": Kind(loads=(0, 1), habits=[("Silent", {"at": AT, "what": "sdo"})]),
+    # Its PDOs come late from an instant on, or its SDO answers.
+    "answers late": Kind(
+        loads=(0, 1),
+        habits=[
+            ("Silent", one_of(
+                {"at": AT, "what": "pdo", "late": 0.0045}, {"at": AT, "what": "slow sdo", "late": 0.05}
+            ))
+        ],
+    ),
+    # The adapter receives and sends no more.
+    "adapter sends nothing": Kind(loads=(0, 1, 2), event={"what": "adapter sends nothing"}),
+    # From an instant on every wait takes longer than was asked.
+    "computer late": Kind(
+        ("rest", "run", "hold"), (0, 1), event={"what": "computer late", "seconds": one_of(0.0012, 0.0034)}
+    ),
+    # From an instant on what is received comes cycles late.
+    "adapter late": Kind(("rest", "run", "hold"), (0, 1), event={"what": "adapter late", "seconds": 0.0045}),
+    # --- refused in plain words ----------------------------------------------------------------------
+    # 0x6060 is taken and 0x6061 stays.
+    "mode never comes": Kind(ONCE, (0, 1), habits=[("ModeNeverComes", {})]),
+    # 0x6077 is in other units than 0x6071.
+    "torque shown otherwise": Kind(ONCE, (0, 1), habits=[("TorqueShown", {"scale": one_of(0.1, 0.5, 3.0)})]),
+    # 0x605A, 0x6007, 0x607D, 0x6065 and 0x607F are missing, or 0x1016.
+    "lacks protection": Kind(
+        ONCE, (0, 1, 2), also={"lacks": one_of([0x605A, 0x6007, 0x607D, 0x6065, 0x607F], [0x1016], [0x605A])}
+    ),
+    # --- one command after another -------------------------------------------------------------------
+    # Held at the end, checked, taken over and measured.
+    "measured again": Kind(
+        ONCE, (1, 2), healthy=True, also={"later": [("check", []), ("measure", [])]}
+    ),
+    # All of invid is killed, a person asks what is the matter, and then measures.
+    "dies and is checked": Kind(
+        ("enabling", "rest", "trial", "run"), (0, 1, 2), event={"what": "master dies"},
+        also={"later": [("check", []), ("measure", [])]},
+    ),
+    # Held by its drive, which takes no mode in quick stop active, when it is to be measured again.
+    "held and takes no other mode": Kind(
+        ONCE, (1, 2), brakes=False, carrying=True, habits=[("ModesAtRest", {"states": ["stopping"]})],
+        also={"later": [("measure", [])]},
+    ),
+    # Checked while somebody else sends SYNC: nothing is touched.
+    "held while another master speaks": Kind(
+        ONCE, (1, 2), brakes=False, also={"later": [("check", [{"what": "other master", "at": 0.0}])]}
+    ),
+}  # fmt: skip
+
+
+def kind(
+    phases: tuple[str, ...] = PHASES, loads: tuple[int, ...] = (0, 1, 2, 3), **more: Any
+) -> Callable[[Callable[[Draft], None]], Callable[[Draft], None]]:
+    """Enter a kind into the table, by the name of its function."""
+
+    def enter(make: Callable[[Draft], None]) -> Callable[[Draft], None]:
+        KINDS[make.__name__.replace("_", " ")] = Kind(phases, loads, more=make, **more)
+        return make
+
+    return enter
 
 
 @kind(("rest", "run", "leaving"))
@@ -73,19 +304,6 @@ def stop_in_a_long_silence(d: Draft) -> None:
     """A heartbeat of 2 s makes the stop test's silence long."""
     d.safety["heartbeat_s"] = 2.0
     d.events.append({"what": "stop", "at": d.at + d.rng.choice([0.0, 4.0])})
-
-
-@kind(("run",), (0, 1, 2))
-def stop_with_a_slow_ramp(d: Draft) -> None:
-    """0x6085 and 0x6084 take seconds to stop."""
-    d.found[0x608500] = d.found[0x608400] = d.counts(0.1)
-    d.events.append({"what": "stop", "at": d.at})
-
-
-@kind()
-def master_dies(d: Draft) -> None:
-    """All of invid is killed."""
-    d.events.append({"what": "master dies", "at": d.at})
 
 
 @kind(("run", "hold", "trial"), (0, 1))
@@ -104,14 +322,6 @@ def master_dies_watch_without_effect(d: Draft) -> None:
     d.events.append({"what": "master dies", "at": d.at})
 
 
-@kind(loads=(0, 1, 2))
-def computer_suspended(d: Draft) -> None:
-    """Nothing of the computer runs for a while."""
-    d.events.append({"what": "suspended", "at": d.at, "seconds": d.rng.choice([0.2, 1.5, 6.0])})
-    d.never_again = True
-
-
-# --- quick stop --------------------------------------------------------------------------------------
 def _person(d: Draft) -> None:
     seconds = d.rng.choice([3.0, 8.0])
     for a in loaded(d):
@@ -183,15 +393,6 @@ def held_then_not(d: Draft) -> None:
 
 
 @kind(ONCE, (0, 1, 2))
-def option_refused_under_power(d: Draft) -> None:
-    """0x605A is refused under power, or without effect before it is enabled again."""
-    how = d.rng.choice(["refused", "ignored"])
-    for a in d.victims:
-        a.habit("OptionUnderPower", how=how)
-    d.found[0x605A00] = d.rng.choice([0, 2])
-
-
-@kind(ONCE, (0, 1, 2))
 def own_quick_stop_torque(d: Draft) -> None:
     """Its quick stop gives up to 20 of 16 N·m."""
     for a in d.victims:
@@ -199,7 +400,6 @@ def own_quick_stop_torque(d: Draft) -> None:
         a.torque_limit = 16.0
 
 
-# --- modes -------------------------------------------------------------------------------------------
 @kind(ONCE, (0, 1, 2))
 def modes_at_rest(d: Draft) -> None:
     """0x6060 is taken without power only: to be measured where nothing hangs on the drive alone."""
@@ -208,36 +408,6 @@ def modes_at_rest(d: Draft) -> None:
     d.healthy = all(a.brake is not None or not a.load for a in d.axes)
 
 
-@kind(PHASES, (0, 1, 2))
-def modes_at_rest_enable_input_opened(d: Draft) -> None:
-    """The same, and the enable input is opened for a while."""
-    seconds = d.rng.choice([0.3, 5.0, 40.0])
-    for a in d.victims:
-        a.habit("ModesAtRest")
-        a.habit("EnableInput", at=d.at, seconds=seconds)
-        a.falls_until_braked()
-    d.never_again, d.must_stop = True, True
-
-
-@kind(ONCE, (0, 1), brakes=True)
-def modes_at_rest_enable_input_opened_between(d: Draft) -> None:
-    """The same, opened while it is off for its next mode, for longer than anybody waits."""
-    leaving, seconds = d.rng.choice([1, 2, 3]), d.rng.choice([20.0, 60.0, 500.0])
-    for a in d.victims:
-        a.habit("ModesAtRest")
-        a.habit("EnableInput", leaving=leaving, seconds=seconds)
-    d.never_again, d.must_stop = True, True
-
-
-@kind(ONCE, (0, 1, 2), healthy=True)
-def mode_shown_early(d: Draft) -> None:
-    """0x6061 shows a mode before it acts, or −1 until then."""
-    how, seconds = d.rng.choice([("early", 0.03), ("early", 0.1), ("blank", 0.5), ("blank", 4.0)])
-    for a in d.victims:
-        a.habit("ModeShown", how=how, seconds=seconds)
-
-
-# --- power -------------------------------------------------------------------------------------------
 @kind()
 def emergency_stop_released(d: Draft) -> None:
     """Safe torque off, and released after a while."""
@@ -258,29 +428,12 @@ def fault(d: Draft) -> None:
     d.never_again, d.must_stop = True, True
 
 
-@kind(loads=(0, 1, 2))
-def supply_lost(d: Draft) -> None:
-    """A drive starts anew."""
-    for a in d.victims:
-        a.habit("Reboots", at=d.at)
-        a.falls_until_braked()
-    d.never_again, d.must_stop = True, True
-
-
 @kind(loads=(1, 2))
 def gives_less(d: Draft) -> None:
     """Less than its load weighs, by I²t: shown, or the demand is echoed."""
     echoes = d.rng.random() < 0.5
     for a in d.victims:
         a.habit("GivesLess", at=d.at, torque=0.5 * a.load or 1.0, echoes=echoes)
-        a.falls_until_braked(0.15)
-
-
-@kind(loads=(0, 1, 2))
-def torque_gone_and_echoed(d: Draft) -> None:
-    """No torque any more, and 0x6077 shows the demand."""
-    for a in d.victims:
-        a.habit("TorqueGone", at=d.at)
         a.falls_until_braked(0.15)
 
 
@@ -293,7 +446,6 @@ def torque_turns(d: Draft) -> None:
             a.falls = 0.35 if a.brake is not None else math.inf
 
 
-# --- sensors -----------------------------------------------------------------------------------------
 @kind(loads=(0, 1, 2))
 def encoder_freezes(d: Draft) -> None:
     """Its encoder stands, where it is or elsewhere."""
@@ -338,13 +490,6 @@ def encoder_opposed(d: Draft) -> None:
 
 
 @kind(ONCE, (0, 1, 2))
-def torque_without_sign(d: Draft) -> None:
-    """0x6077 shows the amount alone."""
-    for a in d.victims:
-        a.habit("TorqueShown", how="unsigned")
-
-
-@kind(ONCE, (0, 1, 2))
 def torque_echo(d: Draft) -> None:
     """0x6077 is the demand; in quick stop there is no torque."""
     for a in loaded(d) or d.victims:
@@ -353,14 +498,6 @@ def torque_echo(d: Draft) -> None:
     _person(d)
 
 
-@kind(ONCE, (0, 1), healthy=True)
-def torque_filtered(d: Draft) -> None:
-    """0x6077 passes a filter for display."""
-    for a in d.victims:
-        a.habit("TorqueShown", filter_s=d.rng.choice([0.005, 0.02]))
-
-
-# --- loads -------------------------------------------------------------------------------------------
 @kind(ONCE, (1, 2))
 def light_load(d: Draft) -> None:
     """Below 2 % of rated torque, hidden by the sensor's offset, or upright; the user does not say so."""
@@ -391,13 +528,6 @@ def supported_while_weighed(d: Draft) -> None:
 
 
 @kind(ONCE, (1, 2), healthy=True)
-def dry_friction(d: Draft) -> None:
-    """4 % of rated torque."""
-    for a in d.victims:
-        a.plant["coulomb"] = 2.0
-
-
-@kind(ONCE, (1, 2), healthy=True)
 def worm_gear(d: Draft) -> None:
     """Friction above the load: it stands without torque."""
     for a in loaded(d):
@@ -406,14 +536,6 @@ def worm_gear(d: Draft) -> None:
         a.brake = None
 
 
-@kind(ONCE, (0,), healthy=True)
-def dry_friction_free(d: Draft) -> None:
-    """4 % of rated torque, nothing carried."""
-    for a in d.victims:
-        a.plant["coulomb"] = 2.0
-
-
-# --- brakes ------------------------------------------------------------------------------------------
 @kind(ONCE, LOADED, brakes=True, healthy=True)
 def late_brake(d: Draft) -> None:
     """Opens late, closes late, switches on slowly."""
@@ -424,58 +546,12 @@ def late_brake(d: Draft) -> None:
         a.habit("Constants", axis=on)
 
 
-@kind(ONCE, LOADED, brakes=True, healthy=True)
-def brake_after_torque(d: Draft) -> None:
-    """The brake falls in after the torque has gone only."""
-    for a in loaded(d):
-        a.habit("Constants", axis={"brake_first": False})
-
-
 @kind(ONCE, LOADED, brakes=True)
 def brake_fails(d: Draft) -> None:
     """Holds so many closings, then no more; the drive holds."""
     for a in loaded(d):
         a.habit("BrakeFails", closings=d.rng.choice([0, 1, 2, 3]))
         a.habit("Constants", axis={"switch_on_s": d.rng.choice([0.02, 0.2])})
-
-
-@kind(("trial", "run", "hold", "leaving"), LOADED, brakes=True)
-def brake_worn_out(d: Draft) -> None:
-    """From an instant on it does not hold."""
-    for a in loaded(d):
-        a.habit("BrakeFails", at=d.at)
-
-
-# --- objects -----------------------------------------------------------------------------------------
-@kind(ONCE, (0, 1))
-def transient_abort(d: Draft) -> None:
-    """One transfer of an object is aborted with a code that says nothing of the object."""
-    index = d.rng.choice([0x6072, 0x6077, 0x605A, 0x6007, 0x607F, 0x6065])
-    code = d.rng.choice([0x08000020, 0x05040000, 0x08000022, 0x06060000])
-    for a in d.victims:
-        a.habit("TransientAbort", index=index, code=code, only_writes=False)
-        a.tightest = 10.0
-    d.found[0x607200] = 200
-    d.experiment["amplitude"] = 0.7
-
-
-@kind(ONCE, (0, 1, 2))
-def found_following_window(d: Draft) -> None:
-    """0x6065 of 2 degrees, and a fault beyond it."""
-    d.found[0x606500] = d.counts(0.035)
-    d.found[0x606600] = 10
-    for a in d.victims:
-        a.falls_until_braked()
-
-
-@kind(ONCE, (0, 1, 2))
-def found_torque_limit(d: Draft) -> None:
-    """0x6072 below what the config permits, or a limit of one direction."""
-    at = d.rng.choice([0x607200, 0x60E000, 0x60E100])
-    d.found[at] = 240
-    d.experiment["amplitude"] = 0.7
-    for a in d.victims:
-        a.tightest = 12.0
 
 
 @kind(ONCE, (1, 2))
@@ -488,87 +564,6 @@ def found_limit_below_the_load(d: Draft) -> None:
     a.falls_until_braked(0.15)
 
 
-@kind(ONCE, (0, 1))
-def added_position(d: Draft) -> None:
-    """0x60B0 shifts each target."""
-    d.found[0x60B000] = d.counts(d.rng.choice([0.03, -0.1, 0.2]))
-
-
-@kind(ONCE, (0, 1))
-def added_torque(d: Draft) -> None:
-    """0x60B2 adds to each torque."""
-    d.found[0x60B200] = d.rng.choice([40, -60, 100])
-
-
-@kind(ONCE, (0, 1))
-def added_home(d: Draft) -> None:
-    """0x607C shifts each target."""
-    d.found[0x607C00] = d.counts(d.rng.choice([0.05, -0.1]))
-    for a in d.victims:
-        a.habit("AddsHome")
-
-
-@kind(ONCE, (0, 1))
-def position_factor(d: Draft) -> None:
-    """0x6093 is not 1: counts of 0x6064 are others than those of 0x608F."""
-    d.found[0x609301], d.found[0x609302] = d.rng.choice([(5, 168), (336, 10), (2, 1)])
-
-
-@kind(ONCE, (0, 1))
-def polarity(d: Draft) -> None:
-    """0x607E turns positions, and torque not."""
-    d.found[0x607E00] = 0x80
-
-
-@kind(ONCE, (0, 1), healthy=True)
-def position_range(d: Draft) -> None:
-    """0x607B: counts go round once a turn, and the axis stands near the seam."""
-    d.found[0x607B01], d.found[0x607B02] = d.rng.choice([(-300, 65235), (-65300, 235)])
-
-
-@kind(ONCE, (0, 1), healthy=True)
-def sync_counter(d: Draft) -> None:
-    """0x1019 is set: SYNC is taken with a counter only, and it can be set to 0."""
-    d.found[0x101900] = 240
-
-
-@kind(ONCE, (0, 1), healthy=True)
-def inhibit_time(d: Draft) -> None:
-    """0x1800:3 is 10 ms, and can be set to 0."""
-    d.found[0x180003] = 100
-
-
-@kind(ONCE, (0, 1), healthy=True)
-def slow_heartbeat(d: Draft) -> None:
-    """0x1017 takes 100 ms and more only."""
-    d.nodes["least"] = {"101700": d.rng.choice([100, 200])}
-
-
-@kind(ONCE, (0, 1), healthy=True)
-def quick_stop_option_5(d: Draft) -> None:
-    """Found with 0x605A = 5 or 6."""
-    d.found[0x605A00] = d.rng.choice([5, 6])
-
-
-@kind(ONCE, (0, 1, 2), healthy=True)
-def slow_SDO(d: Draft) -> None:
-    """6 ms to an answer."""
-    d.nodes["sdo_s"] = 0.006
-
-
-@kind(ONCE, (0, 1, 2), healthy=True)
-def no_limit_in_torque_mode(d: Draft) -> None:
-    """0x6072 counts in the drive's own loops only."""
-    for a in d.victims:
-        a.habit("NoLimitInTorqueMode")
-
-
-@kind(ONCE, (0, 1), healthy=True)
-def event_PDOs(d: Draft) -> None:
-    """TPDO 1 comes every 10 ms as well."""
-    d.nodes["event_s"] = 0.01
-
-
 @kind(ONCE, (1, 2), brakes=True, healthy=True)
 def heavy_load(d: Draft) -> None:
     """Twice the load on a brake of 0.1 s."""
@@ -576,46 +571,6 @@ def heavy_load(d: Draft) -> None:
         a.load, a.inertia, a.brake, a.torque_limit = 2 * a.load, 2.0, 0.1, 40.0
 
 
-@kind(ONCE, (0, 1, 2, 3), healthy=True)
-def ordinary(d: Draft) -> None:
-    """Nothing is the matter."""
-
-
-# --- bus ---------------------------------------------------------------------------------------------
-@kind(loads=(0, 1, 2))
-def node_silent(d: Draft) -> None:
-    """A node says nothing any more, and hears."""
-    for a in d.victims:
-        a.habit("Silent", at=d.at, what="all")
-
-
-@kind(loads=(0, 1))
-def answers_late(d: Draft) -> None:
-    """Its PDOs come late from an instant on, or its SDO answers."""
-    what, late = d.rng.choice([("pdo", 0.0045), ("slow sdo", 0.05)])
-    for a in d.victims:
-        a.habit("Silent", at=d.at, what=what, late=late)
-
-
-@kind(loads=(0, 1, 2))
-def adapter_sends_nothing(d: Draft) -> None:
-    """The adapter receives and sends no more."""
-    d.events.append({"what": "adapter sends nothing", "at": d.at})
-
-
-@kind(("rest", "run", "hold"), (0, 1))
-def computer_late(d: Draft) -> None:
-    """From an instant on every wait takes longer than was asked."""
-    d.events.append({"what": "computer late", "at": d.at, "seconds": d.rng.choice([0.0012, 0.0034])})
-
-
-@kind(("rest", "run", "hold"), (0, 1))
-def adapter_late(d: Draft) -> None:
-    """From an instant on what is received comes cycles late."""
-    d.events.append({"what": "adapter late", "at": d.at, "seconds": 0.0045})
-
-
-# --- refused in plain words ----------------------------------------------------------------------------
 @kind(ONCE, LOADED, brakes=False)
 def lets_go_alone(d: Draft) -> None:
     """Switches off when its master is silent, whatever 0x6007 says. A person comes."""
@@ -624,54 +579,12 @@ def lets_go_alone(d: Draft) -> None:
     _person(d)
 
 
-@kind(ONCE, (0, 1))
-def mode_never_comes(d: Draft) -> None:
-    """0x6060 is taken and 0x6061 stays."""
-    for a in d.victims:
-        a.habit("ModeNeverComes")
-
-
-@kind(ONCE, (0, 1))
-def torque_shown_otherwise(d: Draft) -> None:
-    """0x6077 is in other units than 0x6071."""
-    scale = d.rng.choice([0.1, 0.5, 3.0])
-    for a in d.victims:
-        a.habit("TorqueShown", scale=scale)
-
-
 @kind(ONCE, (0, 1), brakes=False)
 def torque_mode_only(d: Draft) -> None:
     """0x6502 has no position mode: a load has nothing to hold it."""
     d.found[0x650200] = 1 << 9
     for a in d.axes:
         a.config["hold"] = {"mode": "master_pd", "gain_Nm_per_rad": 200, "damping_Nms_per_rad": 20}
-
-
-@kind(ONCE, (0, 1, 2))
-def lacks_protection(d: Draft) -> None:
-    """0x605A, 0x6007, 0x607D, 0x6065 and 0x607F are missing, or 0x1016."""
-    d.lacks = d.rng.choice([[0x605A, 0x6007, 0x607D, 0x6065, 0x607F], [0x1016], [0x605A]])
-
-
-@kind(loads=(0, 1))
-def no_SDO_answers(d: Draft) -> None:
-    """A node answers no SDO any more; its PDOs come."""
-    for a in d.victims:
-        a.habit("Silent", at=d.at, what="sdo")
-
-
-# --- one command after another ---------------------------------------------------------------------------
-@kind(ONCE, (1, 2), healthy=True)
-def measured_again(d: Draft) -> None:
-    """Held at the end, checked, taken over and measured."""
-    d.later = [("check", []), ("measure", [])]
-
-
-@kind(("enabling", "rest", "trial", "run"), (0, 1, 2))
-def dies_and_is_checked(d: Draft) -> None:
-    """All of invid is killed, a person asks what is the matter, and then measures."""
-    d.events.append({"what": "master dies", "at": d.at})
-    d.later = [("check", []), ("measure", [])]
 
 
 @kind(ONCE, LOADED, brakes=True)
@@ -686,21 +599,6 @@ def brake_fails_in_a_later_run(d: Draft) -> None:
     d.later = [("measure", changes)]
 
 
-@kind(ONCE, (1, 2), brakes=False)
-def held_and_takes_no_other_mode(d: Draft) -> None:
-    """Held by its drive, which takes no mode in quick stop active, when it is to be measured again."""
-    for a in loaded(d):
-        a.habit("ModesAtRest", states=["stopping"])
-    d.later = [("measure", [])]
-
-
-@kind(ONCE, (1, 2), brakes=False)
-def held_while_another_master_speaks(d: Draft) -> None:
-    """Checked while somebody else sends SYNC: nothing is touched."""
-    d.later = [("check", [{"what": "other master", "at": 0.0}])]
-
-
-# --- two axes of one node ----------------------------------------------------------------------------
 @kind(ONCE, (0, 1, 2), healthy=True)
 def two_axes_of_one_node(d: Draft) -> None:
     """0x6000 and 0x6800 of one node: the config names the node twice."""

@@ -49,6 +49,10 @@ class Node:
             for k in range(PDOS)
         ]
         """Event timer of each RPDO, that of each TPDO and its type: looked at in every step."""
+        self.listens = [
+            tuple(self.od.get(at + (k << 8), none) for at in (0x140001, 0x140002)) for k in range(PDOS)
+        ]
+        """Identifier and type of each RPDO: looked at with every frame."""
         self.next_beat = 0.0
         self.heard: float | None = None
         self.boxes: dict[int, bytes] = {}
@@ -92,9 +96,9 @@ class Node:
             refused = axis.refuses(index << 8 | at & 0xFF, value)
             if refused is not None:
                 return refused or None
-        before, entry.value = entry.value, value
+        entry.value = value
         if axis is not None:
-            axis.written(index << 8 | at & 0xFF, value, before)
+            axis.written(index << 8 | at & 0xFF, value)
         return None
 
     # --- frames ------------------------------------------------------------------------------------
@@ -121,11 +125,11 @@ class Node:
             if cob & 0x7F == self.number(0x101601) >> 16 & 0x7F and self.number(0x101601) & 0xFFFF:
                 self.heard = now
         elif self.nmt == OPERATIONAL:
-            for k in range(PDOS):
-                if cob == self.number(0x140001 + (k << 8)):
+            for k, (identifier, kind) in enumerate(self.listens):
+                if cob == identifier.value:
                     self.boxes[k] = data
                     self.got[k] = now
-                    if self.number(0x140002 + (k << 8)) > 240:
+                    if kind.value > 240:
                         self.take(k)
 
     def command_nmt(self, command: int) -> None:
@@ -157,8 +161,6 @@ class Node:
     def sync(self, now: float) -> None:
         """Synchronous PDOs: what came is taken, what is asked for is sent."""
         self.syncs += 1
-        for axis in self.axes:
-            axis.at_sync(now)
         for k in range(PDOS):
             if self.number(0x140002 + (k << 8)) <= 240:
                 self.take(k)

@@ -1,7 +1,5 @@
 """One rigid axis: inertia, load, friction, brake, a prop under it, hard stops; RK4."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The channel is a folder with `spec.json`. What is behind the wire is kept there from command to command.
 """
 
-from __future__ import annotations
-
 import atexit
 import json
 import os

@@ -1,7 +1,5 @@
 """Bus, nodes and what happens to them, in virtual time; what truly happened goes into a trace."""
 
-from __future__ import annotations
-
 import heapq
 import json
 import math

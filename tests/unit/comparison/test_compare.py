@@ -1,7 +1,5 @@
 """What `compare` says about two models, and how often it is wrong."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What `compare` says of causes: appeared, grew, shrank, gone or not, and how often that is wrong."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

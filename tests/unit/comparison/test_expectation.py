@@ -1,7 +1,5 @@
 """What a person said was changed is answered first: the same, more, less, elsewhere, not visible, unknown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The noise is drawn from a strongly correlated covariance that the test makes up;
 product produces the data it judges.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from stated_models import model_of, term

@@ -1,7 +1,5 @@
 """A short record against an accepted model: nothing found where nothing changed, else what did."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +21,7 @@ CELL = """\
 format: invid-config
 format_version: 1
 robot: two axes
-bus: {interface: invid-virtual, channel: two, cycle_s: 0.001}
+bus: {interface: invid-virtual, channel: two, cycle_s: 0.002}
 axes:
   - {name: A1, node_id: 1, rated_torque_Nm: 50, masses: 2, inertia_kgm2: 3.0, gravity_loaded: false,
      limits: {torque_Nm: 25, position_window_rad: 1.0, velocity_rad_per_s: 5, stopping_room_rad: 3}}

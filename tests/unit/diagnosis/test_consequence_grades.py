@@ -1,7 +1,5 @@
 """Does it matter: grades by own limits, published figures or neither, and the headline that sums them up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Diagnosis of recordings with hidden effects, made by the plants of ``tests/hidden``."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

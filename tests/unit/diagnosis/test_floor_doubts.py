@@ -1,7 +1,5 @@
 """Nothing is sure where a record does not show what its sensors' noise alone would leave."""
 
-from __future__ import annotations
-
 import numpy as np
 from test_consequence_grades import diagnosis as document_of
 from test_consequence_grades import term

@@ -1,7 +1,5 @@
 """The headline answers in this order: what changed, does it matter, where, what now; in both languages."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

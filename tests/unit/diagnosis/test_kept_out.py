@@ -1,7 +1,5 @@
 """What is kept out of every fit, by what a recording holds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A cause is weighed in one way, by finished fits; what is fitted is said, whatever the time left."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest
@@ -59,6 +57,7 @@ def test_a_spring_between_loads_is_weighed_like_any_cause() -> None:
     assert spring.parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=0.02)
 
 
+@pytest.mark.campaign
 def test_a_search_that_has_no_time_for_its_first_cause_still_says_what_is_left_where() -> None:
     """Motion behind the motors had never been worked out: it ended in an internal error."""
     free_play = make("backlash", (0, 1), {"gap": 4e-3}, seed=500902, motors=1, masses=(2,))[0]

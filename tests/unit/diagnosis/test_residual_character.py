@@ -1,7 +1,5 @@
 """What is said of torque that no cause explains: what it goes with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

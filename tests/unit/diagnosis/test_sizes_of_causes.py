@@ -1,7 +1,5 @@
 """Sizes of causes and their standard deviations, on the plants of ``tests/hidden``."""
 
-from __future__ import annotations
-
 from hidden.generator import make
 
 from invid.diagnosis.diagnose import diagnose

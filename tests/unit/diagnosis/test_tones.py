@@ -1,7 +1,5 @@
 """A torque that keeps its own time is no noise, although it repeats with none of the periods."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from two_masses import held, recording

@@ -1,7 +1,5 @@
 """A motion that still settles is told from a process that scatters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from two_masses import NOISE, PERIOD, from_rest

@@ -1,7 +1,5 @@
 """What the words of a diagnosis promise holds in every document, of elastic and of rigid machines."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import product

@@ -1,7 +1,5 @@
 """Adapters that are not there: one sentence each, whatever python-can's interface raises."""
 
-from __future__ import annotations
-
 import tomllib
 from ctypes.util import find_library
 from pathlib import Path

@@ -1,7 +1,5 @@
 """PDO mappings as vendors' EDS and DCF files state them, against frames packed by hand."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A cell whose axes an earlier run left energised is not ready, in command and service alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -96,23 +96,6 @@ class SilentBus(can.BusABC):
         return None, False
 
 
-frames = st.builds(
-    lambda can_id, data, extended, remote, error: can.Message(
-        arbitration_id=can_id if extended else can_id & 0x7FF,
-        data=None if remote else data,
-        dlc=len(data),
-        is_extended_id=extended,
-        is_remote_frame=remote,
-        is_error_frame=error,
-    ),
-    st.integers(0, 0x1FFFFFFF),
-    st.binary(max_size=8),
-    st.booleans(),
-    st.booleans(),
-    st.booleans(),
-)
-
-
 @settings(max_examples=300, deadline=None)
 @given(st.integers(0, 0x7F), st.binary(max_size=8))
 def test_no_frame_of_a_known_node_crashes_the_link(function: int, data: bytes) -> None:

@@ -1,7 +1,5 @@
 """One master a bus."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Before hardware moves somebody says that the stop is within reach; of a simulated cell nobody is asked."""
 
-from __future__ import annotations
-
 import os
 import pty
 import subprocess

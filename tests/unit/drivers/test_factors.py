@@ -1,7 +1,5 @@
 """What the objects of a drive say of its units: read, compared, and refused with both numbers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

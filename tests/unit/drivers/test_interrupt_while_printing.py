@@ -1,7 +1,5 @@
 """Ctrl-C in the middle of a line on stderr stops the measurement in order, and is no error of the program."""
 
-from __future__ import annotations
-
 import io
 import signal
 

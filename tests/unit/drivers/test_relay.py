@@ -1,7 +1,5 @@
 """The parent of the cycle process waits for it no longer than stated, and hears what it says at its end."""
 
-from __future__ import annotations
-
 import threading
 import time
 from multiprocessing import Pipe

@@ -1,7 +1,5 @@
 """Round trips of an adapter: how many samples bound what, which cycle follows, what is refused."""
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """``invid simcell``: what it says when it cannot run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

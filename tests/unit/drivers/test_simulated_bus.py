@@ -1,7 +1,5 @@
 """The virtual-time bus: time, arbitration, wire times, determinism, python-can's promises."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import can

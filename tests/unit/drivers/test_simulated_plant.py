@@ -1,7 +1,5 @@
 """The simulated plant against scipy's solve_ivp and against closed forms."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A stop that signal handlers set, one inside the other."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

@@ -1,7 +1,5 @@
 """CAN over AF_UNIX: several ports, order, loss of the other side."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

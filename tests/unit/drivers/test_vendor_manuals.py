@@ -1,7 +1,5 @@
 """What the manuals say, as rows: an unknown counts as the worst, and the docs say the same as the code."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A cause of one file outside the tree is fitted, named, simulated, saved, reloaded and drawn."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Every cause of the contract is there, with its parameters; laws against values worked out by hand."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

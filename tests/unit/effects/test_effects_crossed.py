@@ -1,7 +1,5 @@
 """Every cause crossed with every use, from its derivatives to its experiment, on both kinds of machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

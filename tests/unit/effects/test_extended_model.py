@@ -1,7 +1,5 @@
 """A model with effects is a model like any other: saved, loaded, simulated, compared, diagnosed again."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A law without a name as an effect file sits where the law was found, and has its shape."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

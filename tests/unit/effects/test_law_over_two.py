@@ -1,7 +1,5 @@
 """A law over two quantities: its table in a document, its surface, its file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Exported models, loaded by the tools they are for: the frequency responses are those of the matrices."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from xml.etree import ElementTree

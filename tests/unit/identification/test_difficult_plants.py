@@ -1,7 +1,5 @@
 """Plants and drives that a plain fit gets wrong: barely visible modes, springs to ground, late reversals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """From recording to model, on plants simulated by code the estimator does not use."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

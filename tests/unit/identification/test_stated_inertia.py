@@ -1,7 +1,5 @@
 """A wrong torque scale is a doubt; a machine that changed since an earlier model is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast

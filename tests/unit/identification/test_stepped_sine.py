@@ -1,7 +1,5 @@
 """Stepped sine as others record it: every frequency an experiment of its own, settled or from rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from two_masses import MASS, SPRING, held
@@ -37,7 +35,10 @@ def sine(key: int, samples: int, cycles: int, settled: bool, rng: np.random.Gene
     )
 
 
-@pytest.mark.parametrize("settled", [True, False], ids=["settled", "from rest"])
+@pytest.mark.parametrize(
+    "settled",
+    [pytest.param(True, id="settled", marks=pytest.mark.campaign), pytest.param(False, id="from rest")],
+)
 def test_one_experiment_a_frequency_gives_the_masses_and_the_spring(settled: bool) -> None:
     rng = np.random.default_rng(3)
     periods = np.unique(np.round(1.0 / STEP / np.geomspace(0.8, 9.0, 14)).astype(int))[::-1]

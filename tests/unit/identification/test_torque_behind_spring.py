@@ -1,7 +1,5 @@
 """A torque measured behind the spring moves everything but the motor: that is said, and no motor is sure."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

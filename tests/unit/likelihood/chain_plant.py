@@ -4,8 +4,6 @@ likelihood.
 Shares no code with ``invid``. The hold acts at every sub-step; torque is what acted last before a sample.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

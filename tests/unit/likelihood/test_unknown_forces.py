@@ -1,7 +1,5 @@
 """The likelihood with unknown forces: exact gradient, a plant found among faults, inner motion, strengths."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """A budget ends every search with an answer that claims nothing of what was not looked at."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

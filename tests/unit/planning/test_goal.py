@@ -89,6 +89,7 @@ def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allow
     assert any("creep_velocity" in w for w in plain.plan.warnings)
 
 
+@pytest.mark.campaign
 def test_whoever_judges_sees_every_finished_experiment_as_it_stands_in_the_file(
     cell: CellConfig, design: GoalPlan, tmp_path: Path
 ) -> None:

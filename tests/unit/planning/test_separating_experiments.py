@@ -1,7 +1,5 @@
 """``invid measure --separate``: experiments follow from what competes and stay within the limits."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Ways to rest against an integration of their own, and the speeds that are permitted for them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a file is: told by its bytes and its head whatever its name, read, or refused with the way out."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import lzma

@@ -3,8 +3,6 @@
 Each kind is made here, from a motion that is known, never from the code under test.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from datetime import datetime, timedelta

@@ -1,7 +1,5 @@
 """Files of every kind, damaged at random: a message or a recording, never a traceback."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

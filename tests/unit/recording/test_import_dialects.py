@@ -1,7 +1,5 @@
 """The same log in the dress of other programs: stamped, quoted, in structs; and maps that cannot be meant."""
 
-from __future__ import annotations
-
 import re
 import struct
 import zipfile

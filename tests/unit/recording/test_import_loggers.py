@@ -1,7 +1,5 @@
 """What loggers and drive tools write: MDF, MCAP, scopes; two records in one file; what a map must ask."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files as people bring them: each kind in several dresses, made here from a motion that is known."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MAT files as MATLAB and Simulink write them: structs with time, cells, struct arrays, and objects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

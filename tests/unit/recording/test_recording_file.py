@@ -1,7 +1,5 @@
 """The HDF5 recording: written while measuring, killed, damaged, written by others."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """An axis that stands still beside others that move: they are identified, and it is said to be unknown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

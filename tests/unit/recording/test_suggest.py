@@ -1,7 +1,5 @@
 """``--suggest`` on files as people have them: all of them described, no time or side taken for granted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foreign_records import imported, suggested, table

@@ -1,7 +1,5 @@
 """The drawing of the branches: every number at its element, every finding at its place, one to six axes."""
 
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree
 

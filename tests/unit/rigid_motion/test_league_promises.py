@@ -1,7 +1,5 @@
 """Promises of the league of measured machines, on small records made here."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Friction that grows with the load: its size, and telling it from Coulomb friction."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from large_motion import experiment, moves, recording

@@ -1,7 +1,5 @@
 """Large motions: an axis integrated here, by other code than the one under test."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Records that are valid and unusual: an analysis ends, and every figure is a number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from large_motion import experiment, recording

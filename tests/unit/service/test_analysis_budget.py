@@ -1,7 +1,5 @@
 """The budget of an analysis ends before the watchdog takes it for hung."""
 
-from __future__ import annotations
-
 from invid_service.jobs.protocol import Job
 from invid_service.settings import Settings
 

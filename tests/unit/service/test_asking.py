@@ -1,7 +1,5 @@
 """Asking moves and sends nothing: no GET writes to a bus; what must ask the drives is a POST of its own."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from datetime import UTC, datetime

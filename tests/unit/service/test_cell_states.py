@@ -1,7 +1,5 @@
 """What is told of every cell, in one answer, a small one, metrics and the log; the stop of all."""
 
-from __future__ import annotations
-
 import json
 import logging
 import time

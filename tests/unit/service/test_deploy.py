@@ -1,7 +1,5 @@
 """What an integrator installs: units that systemd takes, a compose file that fits the Dockerfile."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """One question has one answer, whichever door it comes in by: command, Python, REST and the page."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Why a result is not to be trusted: by weight and code, in both languages, not the first warning."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

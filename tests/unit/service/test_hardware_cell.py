@@ -1,7 +1,5 @@
 """A cell with hardware behind it: readiness of its bus, no simulation to change, simulated on request."""
 
-from __future__ import annotations
-
 import json
 import re
 from datetime import UTC, datetime

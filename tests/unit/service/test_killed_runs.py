@@ -1,7 +1,5 @@
 """What is left of a run whose process, or whose service, was killed: rows become its recording."""
 
-from __future__ import annotations
-
 import sqlite3
 import time
 from datetime import UTC, datetime

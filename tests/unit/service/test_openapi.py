@@ -3,8 +3,6 @@
 To write it anew after an intended change: ``python tests/unit/service/test_openapi.py``.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Identifications through the REST interface, with a scripted runner."""
 
-from __future__ import annotations
-
 import json
 import time
 from concurrent.futures import ThreadPoolExecutor

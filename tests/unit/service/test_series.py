@@ -1,7 +1,5 @@
 """Changes of causes and the history of one number, through REST."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a person said before a run is answered first; who decides is kept; a short check replaces no model."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

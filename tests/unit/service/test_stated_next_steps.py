@@ -1,7 +1,5 @@
 """What now: amplitude, the separating experiment, the action after a stop, the plant's overview, uploads."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The store: migrations, files, restarts, older releases, retention."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import sqlite3

@@ -1,7 +1,5 @@
 """The page's catalogues: the same keys in every language, and exactly those that the page uses."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``/identifications/{id}/tuning``: values from a finished run's model, in a process of their own."""
 
-from __future__ import annotations
-
 import io
 import time
 import zipfile

@@ -1,7 +1,5 @@
 """Who may call, from where, and with what: keys, scopes, foreign pages, oversized and malformed requests."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterator

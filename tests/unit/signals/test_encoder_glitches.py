@@ -1,7 +1,5 @@
 """Readings that no motion explains are taken out and said; motion of every other kind is left alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What an encoder errs by within the periods of its scale is taken out; motion is left alone."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

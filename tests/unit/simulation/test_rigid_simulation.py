@@ -1,7 +1,5 @@
 """Rigid models in time against integrators that share no code with them."""
 
-from __future__ import annotations
-
 import numpy as np
 from large_motion import effect, experiment, model, recording
 from scipy.integrate import solve_ivp

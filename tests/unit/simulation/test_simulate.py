@@ -1,7 +1,5 @@
 """The simulator against scipy's integrator with the physics written again here."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

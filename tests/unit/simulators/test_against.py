@@ -17,17 +17,21 @@ from invid.simulators.open import open_simulator
 
 
 @pytest.fixture(scope="module")
-def linear(tmp_path_factory: pytest.TempPathFactory) -> tuple[Cell, Path, invid.Recording, Any]:
+def linear(tmp_path_factory: pytest.TempPathFactory) -> tuple[Cell, Path, invid.Recording]:
     folder = tmp_path_factory.mktemp("linear")
     cell = drawn(3, kinds=(), motion="multisine", sizes=(2, 2))
     write(cell, measured(cell), folder / "rec.h5")
-    recording = invid.read_recording(folder / "rec.h5")
-    return cell, folder, recording, invid.diagnose(recording, budget=60)
+    return cell, folder, invid.read_recording(folder / "rec.h5")
+
+
+@pytest.fixture(scope="module")
+def diagnosis(linear: Any) -> Any:
+    return invid.diagnose(linear[2], budget=60)
 
 
 @pytest.mark.campaign
-def test_the_xml_that_made_the_recording_is_called_right(linear: Any) -> None:
-    cell, folder, recording, diagnosis = linear
+def test_the_xml_that_made_the_recording_is_called_right(linear: Any, diagnosis: Any) -> None:
+    cell, folder, recording = linear
     (folder / "right.xml").write_text(users(cell))
     found = judge(recording, diagnosis, open_simulator(folder / "right.xml", recording.axes))
     assert found["right"]
@@ -38,9 +42,9 @@ def test_the_xml_that_made_the_recording_is_called_right(linear: Any) -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", ["xml", pytest.param("json", marks=pytest.mark.campaign)])
 def test_wrong_numbers_are_told_and_the_corrected_copy_reaches_the_noise_in_its_own_engine(
-    linear: Any, kind: str
+    linear: Any, diagnosis: Any, kind: str
 ) -> None:
-    cell, folder, recording, diagnosis = linear
+    cell, folder, recording = linear
     path = folder / f"wrong.{kind}"
     other = wrong(cell, 0.3)
     if kind == "xml":
@@ -65,14 +69,15 @@ def test_wrong_numbers_are_told_and_the_corrected_copy_reaches_the_noise_in_its_
 def test_the_inertia_of_a_corrected_xml_is_the_one_asked_for_with_the_coupling_of_its_links(
     linear: Any,
 ) -> None:
-    cell, folder, recording, diagnosis = linear
+    cell, folder, recording = linear
+    model = invid.identify(recording)
     (folder / "w.xml").write_text(users(wrong(cell, 0.5)))
-    open_simulator(folder / "w.xml", recording.axes).corrected(diagnosis.model, folder / "c.xml")
+    open_simulator(folder / "w.xml", recording.axes).corrected(model, folder / "c.xml")
     claimed = open_simulator(folder / "c.xml", recording.axes).claimed()
     assert claimed is not None
-    for ours, theirs in zip(claimed.chains.masses, diagnosis.model.chains.masses, strict=True):
+    for ours, theirs in zip(claimed.chains.masses, model.chains.masses, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4)
-    np.testing.assert_allclose(claimed.chains.couplings, diagnosis.model.chains.couplings, atol=1e-4)
+    np.testing.assert_allclose(claimed.chains.couplings, model.chains.couplings, atol=1e-4)
 
 
 @pytest.mark.campaign
@@ -100,7 +105,7 @@ def test_a_missing_cause_is_named_and_stands_in_the_copy_as_an_element_of_mujoco
 
 
 def test_what_is_no_simulator_of_the_machine_is_refused_with_the_way_out(tmp_path: Path, linear: Any) -> None:
-    _, _, recording, _ = linear
+    _, _, recording = linear
     for name, text, says in (
         ("a.txt", "", "MuJoCo XML"),
         ("a.xml", "<mujoco/>", "drives 0 joints"),

@@ -4,8 +4,6 @@ Two masses of 0.7 and 2 kg·m² on a spring of 1000 N·m/rad, integrated by the 
 simulators are written by hand.
 """
 
-from __future__ import annotations
-
 import re
 import zipfile
 from pathlib import Path

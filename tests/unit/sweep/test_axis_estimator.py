@@ -1,7 +1,5 @@
 """A fall is told from rest by counts of the encoder: how soon, and how seldom without one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

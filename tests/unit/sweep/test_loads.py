@@ -1,7 +1,5 @@
 """What the torque at rest says of loads."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shown against asked torque: less under a load, the opposite under none; a late display is neither."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

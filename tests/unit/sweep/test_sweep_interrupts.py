@@ -1,7 +1,5 @@
 """What a terminal, a system and a disk may do to a measurement: it stops in order."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

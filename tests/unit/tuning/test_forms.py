@@ -1,7 +1,5 @@
 """Each form read back by its own reader."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -4,8 +4,6 @@ Two bodies on hinges; the spring is a fixed tendon that acts beyond ±gap/2; not
 loop but the numbers it gave.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Values of a whole machine: what they promise, on machines and data that the design has not seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small machine with friction, free play and a mode, tuned once for all tests of a process."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from invid.model.chains import CoupledChains

@@ -3,8 +3,6 @@
 No warning or refusal goes by them.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import pickle
