@@ -13,7 +13,7 @@ import numpy as np
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64
 from invid.recording.import_map import Pdo
-from invid_drivers.can_log_frames import Frames
+from invid_drivers.can_log.frames import Frames
 
 _BLOCK = 1 << 19
 """Frames whose bits are taken apart at once: 64 bytes each."""
