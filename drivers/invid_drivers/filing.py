@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError, RecordingError
+from invid.planning.goal import Judge
 from invid.recording import Outcome, Recording, RecordingWriter, read_recording
 from invid.sweep import Progress, Sample
 from invid.sweep.recorder import Recorder
@@ -26,11 +27,6 @@ def row_format(axes: int) -> np.dtype[Any]:
     """One cycle on its way to the file."""
     per_axis = (("position", "<f8"), ("torque", "<f8"), ("demand", "<f8"), ("status", "<u2"), ("fresh", "?"))
     return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
-
-
-Judge = Callable[[Recording], bool]
-"""Says after each experiment but the last whether a recording needs another one; the next experiment goes on
-meanwhile."""
 
 
 class Judged:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,12 @@ from invid.api import read_recording, screen
 from invid.comparison.answers import Screening
 from invid.config import CellConfig
 from invid.model.document import Model
-from invid.planning.belief import Belief, from_model
+from invid.planning.belief import from_model
 from invid.planning.expected_covariance import Noise
-from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
+from invid.planning.screening import screening_plan
 from invid.sweep import Progress
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.stopping_budgets import Wish
-
-SCREEN_GOAL = 0.01
-"""Relative uncertainty that the record is laid out for: a change of a few per cent is then seen (a
-convention)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,18 +32,6 @@ class ScreenedCell:
         return {**self.result.to_json(), "screening": self.screening.to_json()}
 
 
-def screening_plan(
-    config: CellConfig, belief: Belief, noise: Noise, *, amplitude_scale: float = 1.0
-) -> GoalPlan:
-    """The plan of a screening: the blocks that its goal needs, at least two, on all axes, without reserve."""
-    wish = GoalWish(amplitude_scale=amplitude_scale, is_from_model=True)
-    design = plan_for_goal(config, belief, noise, SCREEN_GOAL, wish)
-    # the climb alone is too weak to tell which of two coupled axes changed
-    needed = max(design.needed, 2)
-    plan = design.plan.first(needed - 1)
-    return replace(design, plan=plan, needed=needed)
-
-
 def screen_cell(
     config: CellConfig,
     model: Model,
@@ -58,6 +42,6 @@ def screen_cell(
     stop: threading.Event | None = None,
 ) -> ScreenedCell:
     """Measure for seconds and compare with the accepted model."""
-    design = screening_plan(config, from_model(model, config), noise)
-    result = measure_to_file(config, out, Wish(plan=design.plan), progress=progress, stop=stop)
+    plan = screening_plan(config, from_model(model, config), noise)
+    result = measure_to_file(config, out, Wish(plan=plan), progress=progress, stop=stop)
     return ScreenedCell(result, screen(read_recording(out), model))

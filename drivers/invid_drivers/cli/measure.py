@@ -19,6 +19,8 @@ from invid.model.document import Model, load_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.build import require_all_axes
+from invid.planning.goal import judge_of
+from invid.planning.screening import screening_plan
 from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
 from invid.sweep import Progress
@@ -32,10 +34,9 @@ from invid_drivers.cli.expectation import (
     limits_text,
 )
 from invid_drivers.foretelling import sensor_noise
-from invid_drivers.goal import judge_of
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.readiness import ask, foresee
-from invid_drivers.screening import screen_cell, screening_plan
+from invid_drivers.screening import screen_cell
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
@@ -281,7 +282,7 @@ def register(app: typer.Typer) -> None:
             accepted = load_model(model)
             if dry_run:
                 believed = from_model(accepted, cell)
-                plan = screening_plan(cell, believed, sensor_noise(cell)).plan
+                plan = screening_plan(cell, believed, sensor_noise(cell))
                 return tell_plan(cell, Wish(plan=plan), believed, as_json=as_json)
             out = _required(out)
             confirm(cell, confirmed=confirmed)
