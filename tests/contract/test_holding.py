@@ -407,7 +407,7 @@ def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_
     bench = Bench(tmp_path)
     master = enabled(bench)  # held for 0.1 s, which shows that its limit is enough
     lowered = bench.drive.node.od.number(0x6072)
-    bench.cell.plan_fault(
+    bench.cell.injector.plan(
         FaultConfig(kind="sign_flip", axis="A1", at_s=master.clock.now() + 0.1, signal="encoder")
     )
 
@@ -429,7 +429,7 @@ def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_
 def test_no_brake_and_no_drive_is_judged_by_an_axis_that_moved_before_the_test(tmp_path: Path) -> None:
     bench = Bench(tmp_path, {"brake": True, "brake_delay_s": 0.02}, brake="drive")
     master = enabled(bench)
-    bench.cell.plan_fault(
+    bench.cell.injector.plan(
         FaultConfig(kind="push", axis="A1", at_s=master.clock.now(), torque_Nm=8.0, duration_s=10.0)
     )
     for _ in range(10):

@@ -17,8 +17,7 @@ from invid.numerics.arrays import Float64, Int64, frozen_float
 from invid.recording.import_map import Pdo, Source
 from invid.recording.readers.text_dialect import roughness
 from invid.recording.tables import BrokenRow, Table
-from invid_drivers.can_log.eds_pdos import pdos_of_eds
-from invid_drivers.can_log.fields import Field, fields_of_database, fields_of_pdo, listed
+from invid_drivers.can_log.fields import Field, fields_of_database, fields_of_pdo, listed, pdos_of_eds
 from invid_drivers.can_log.frames import Frames, read_frames
 from invid_drivers.can_log.guess import LOOKED_AT, SMOOTH, Guess, guess_pdos
 from invid_drivers.can_log.traffic import chosen_frames, first_of_pairs, paired_by

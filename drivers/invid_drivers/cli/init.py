@@ -32,14 +32,6 @@ NAME = Object(0x1008, 0, "B", "device name")
 MODES = {4: "profile torque", 8: "cyclic position", 10: "cyclic torque"}
 
 
-def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
-    """Ask every node id for 0x1000 and, where one answers, who it is.
-
-    Reads only, and not on the bus of another master (BusError).
-    """
-    return ask_all(quiet_link(bus), first=first, last=last)
-
-
 def quiet_link(bus: can.BusABC) -> Link:
     """A link that has listened before it sends anything; BusError where another master is on the bus."""
     link = Link(bus, heartbeat_s=0.1)
@@ -49,7 +41,7 @@ def quiet_link(bus: can.BusABC) -> Link:
 
 
 def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
-    """The nodes that answer on a link, and what each says of itself."""
+    """The nodes that answer on a link, and what each says of itself; reads only."""
     link.answer_s = ANSWER_S
     found = []
     for node_id in range(first, last + 1):

@@ -6,12 +6,14 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import typer
 
+from invid.api import read_recording, screen
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.comparison.answers import Screening
 from invid.config import CellConfig, load_config
 from invid.errors import BusError, DriveError, InputError, SafetyStop, left_by, note_left
 from invid.model.diagnosis_document import load_model
@@ -33,10 +35,9 @@ from invid_drivers.cli.expectation import (
     limits_of,
     limits_text,
 )
-from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.readiness import ask, foresee
-from invid_drivers.screening import screen_cell
+from invid_drivers.simulated.config import sensor_noise
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
@@ -200,16 +201,29 @@ def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, *, as_json: b
     return EXIT_OK
 
 
+def screen_cell(
+    cell: CellConfig,
+    model: Model,
+    out: Path,
+    *,
+    progress: Callable[[Progress], None] | None = None,
+    stop: threading.Event | None = None,
+) -> tuple[MeasurementResult, Screening]:
+    """Measure for seconds; the measurement, and what it says of whether anything changed since the model."""
+    plan = screening_plan(cell, from_model(model, cell), sensor_noise(cell))
+    result = measure_to_file(cell, out, Wish(plan=plan), progress=progress, stop=stop)
+    return result, screen(read_recording(out), model)
+
+
 def run_screening(cell: CellConfig, model: Model, out: Path, *, as_json: bool) -> int:
     """Screen; return 3 where nothing can be told."""
     with stop_on_signals() as stop:
-        noise = sensor_noise(cell)
-        found = screen_cell(cell, model, out, noise=noise, progress=ProgressLine(), stop=stop)
-    document, said = found.to_json(), found.screening.sentence
-    untold = found.screening.verdict == "cannot tell"
+        result, found = screen_cell(cell, model, out, progress=ProgressLine(), stop=stop)
+    document, said = {**result.to_json(), "screening": found.to_json()}, found.sentence
+    untold = found.verdict == "cannot tell"
     if untold:
         document["warnings"] = [*document["warnings"], said]
-    emit(document, f"{result_text(found.result)}\n  {found.screening.verdict}: {said}", as_json=as_json)
+    emit(document, f"{result_text(result)}\n  {found.verdict}: {said}", as_json=as_json)
     return EXIT_NOT_TRUSTWORTHY if untold else EXIT_OK
 
 

@@ -23,7 +23,7 @@ from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive, Scales
 from invid_drivers.simulated.eds import apply_eds
-from invid_drivers.simulated.faults import FaultConfig, disturb
+from invid_drivers.simulated.faults import disturb
 from invid_drivers.simulated.injection import FaultInjector
 from invid_drivers.simulated.loops import SAMPLED_S, LoopValues, put_into
 from invid_drivers.simulated.node import Handler, Node
@@ -64,8 +64,8 @@ class SimulatedCell:
         self._count = 0
         self._dispatch: dict[int, list[Handler]] | None = None
         self._tick_ns = 0
-        self._injector = FaultInjector(self)
-        self.frame_faults = self._injector.frames
+        self.injector = FaultInjector(self)
+        self.frame_faults = self.injector.frames
         self.frames_in = self.frames_out = self.syncs = 0
         chains = truth(config)
         axes = [self.simulation.axis(a.name) for a in config.axes]
@@ -98,7 +98,7 @@ class SimulatedCell:
         self._noise_row = _NOISE_ROWS
         self._noisy = bool(self._noise_scale.any())
         for fault in self.simulation.faults:
-            self._injector.plan(fault)
+            self.injector.plan(fault)
         self._load(axes)
         for drive in self.drives:
             drive.node.power_on(0)
@@ -331,10 +331,6 @@ class SimulatedCell:
     def drive(self, axis: str | None) -> Drive:
         """The drive of an axis."""
         return self.drives[[a.name for a in self.config.axes].index(str(axis))]
-
-    def plan_fault(self, fault: FaultConfig) -> None:
-        """Let a fault happen when its time or state comes, for campaigns."""
-        self._injector.plan(fault)
 
 
 def _lag(h: float, time_constant: float) -> float:

@@ -5,10 +5,12 @@ Units stand in the keys. For a linear axis read N for Nm and m for rad: both spe
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import AliasChoices, Field, ValidationError, field_validator, model_validator
 
 from invid.config.experiments import Strict
@@ -17,6 +19,7 @@ from invid.errors import ConfigError, ModelError
 from invid.model.chains import CoupledChains, case_study
 from invid.model.document import describe_validation_error
 from invid.numerics.arrays import frozen_float
+from invid.planning.expected_covariance import Noise, assumed_noise
 from invid_drivers.simulated.faults import FaultConfig
 from invid_drivers.simulated.loops import LoopValues
 from invid_drivers.simulated.vendors import PROFILES
@@ -297,3 +300,26 @@ def _dampers(branch: BranchConfig, ratio: float) -> list[float]:
     for k, a, b in zip(branch.springs, branch.masses[:-1], branch.masses[1:], strict=False):
         values.append(2.0 * ratio * max(k * a * b / (a + b), 0.0) ** 0.5)
     return values
+
+
+def sensor_noise(config: CellConfig) -> Noise:
+    """Noise and lattice of every axis: those of the simulated drives, else assumed ones."""
+    if not config.simulated:
+        return assumed_noise(config)
+    simulation = simulation_of(config)
+    turn = 1.0 if config.linear else 2 * math.pi
+    own = [simulation.axis(a.name) for a in config.axes]
+    # as the simulated drive takes it: its own, else the axis's, else 100
+    rated = np.array(
+        [s.rated_torque or a.rated_torque or 100.0 for s, a in zip(own, config.axes, strict=True)]
+    )
+    step = np.array(
+        [a.position_per_count or turn / s.encoder_counts for s, a in zip(own, config.axes, strict=True)]
+    )
+    return Noise(
+        position=frozen_float(step * [s.position_noise_counts for s in own]),
+        position_step=frozen_float(step),
+        torque=frozen_float(rated * [s.torque_noise for s in own]),
+        torque_step=frozen_float(rated * [1e-3 * s.torque_steps_permille for s in own]),
+        source="the simulated drives of the config",
+    )

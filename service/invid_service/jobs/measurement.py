@@ -13,10 +13,10 @@ from invid.planning.belief import Belief, from_model
 from invid.planning.goal import Reached, judge_of
 from invid.planning.screening import screening_plan
 from invid.wording.sentence import sentence
-from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.protocol import AxisStates, Known, Line, Measured, Planned, Running
 from invid_drivers.readiness import ask, loads_to_support, support_sentence
+from invid_drivers.simulated.config import sensor_noise
 from invid_drivers.stopping_budgets import Wish
 from invid_service.jobs.folder import LastWords
 from invid_service.jobs.progress import MotionProgress

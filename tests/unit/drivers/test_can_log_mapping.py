@@ -10,7 +10,7 @@ import pytest
 
 from invid.recording.import_map import Source
 from invid.recording.suggest import suggest
-from invid_drivers.can_log.eds_pdos import pdos_of_eds
+from invid_drivers.can_log.fields import pdos_of_eds
 from invid_drivers.can_log.table import read_log
 
 N = 50

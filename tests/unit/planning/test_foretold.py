@@ -19,9 +19,9 @@ from invid.planning.goal import reached, shortest_runs
 from invid.planning.screening import screening_plan
 from invid.recording import read_recording
 from invid_drivers.connect import connect
-from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import truth
+from invid_drivers.simulated.config import sensor_noise
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from invid.planning.forecast import turning_back
 from invid.planning.model import Plan
 from invid.planning.screening import BLOCKS_S, GOAL, LONGEST_S, screening_plan
 from invid.recording import Recording, read_recording
-from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import measure_to_file
+from invid_drivers.simulated.config import sensor_noise
 from invid_drivers.stopping_budgets import Wish
 
 

@@ -29,21 +29,9 @@ class Scaling:
     rated_torque: float
     direction: int = 1
 
-    def position(self, counts: int) -> float:
-        """Counts of 0x6064 to position."""
-        return self.direction * self.position_per_count * counts
-
-    def counts(self, position: float) -> int:
-        """Position to counts, rounded."""
-        return round(self.direction * position / self.position_per_count)
-
     def torque(self, permille: int) -> float:
         """0x6077 to torque."""
         return self.direction * self.rated_torque * permille / 1000.0
-
-    def permille(self, torque: float) -> int:
-        """Torque to 0x6071, rounded to whole thousandths and to the type's range."""
-        return max(-32768, min(32767, round(self.direction * torque / self.rated_torque * 1000.0)))
 
     def most_permille(self, torque: float) -> int:
         """Whole thousandths that are not more than a torque limit, at least one."""
