@@ -13,9 +13,8 @@ from invid.errors import BusError, DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.access import Access, ObjectError, ReadRefused, WriteRefused
 from invid_drivers.cia402.cycle_requests import BUSY_S, NOT_NOW
-from invid_drivers.cia402.failures import ObjectError, ReadRefused, WriteRefused
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError

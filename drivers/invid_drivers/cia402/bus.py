@@ -25,13 +25,13 @@ from invid_drivers.cia402.axis_state import LONGEST_RAMP_S, QUICK_STOP_S, AxisSt
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_requests import CHANGE_S
 from invid_drivers.cia402.cycle_time import tell_cycle
-from invid_drivers.cia402.disk import PATIENCE_S
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link, never
 from invid_drivers.cia402.standing.held_axes import HeldAxes
 from invid_drivers.cia402.standing.holding import AxisHolding, Reason
 from invid_drivers.cia402.standing.takeover import find_powered, require_mapped, require_mode, require_ours
+from invid_drivers.cia402.state_folder import PATIENCE_S
 from invid_drivers.cia402.states import OperationMode, is_energised
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import STOPPING, Supervisor
@@ -244,7 +244,7 @@ class Cia402Cell:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
-        self.held.memory.disk.defer()  # from here on no cycle waits for a disk
+        self.held.memory.file.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         yield from self._look_first()
         yield from self._unless_asked(procedures.enable(self._stage), ENABLING)
@@ -524,12 +524,12 @@ class Cia402Cell:
         try:
             if self.held_at_end:
                 self._link.attend = lambda: self.tick(self._stage.everyone(Want.END))
-            for disk in (self.journal.disk, self.held.memory.disk):
+            for file in (self.journal.file, self.held.memory.file):
                 try:
-                    disk.settle()
+                    file.settle()
                 except BusError as error:
                     complaints.append(str(error))
-                    disk.defer()
+                    file.defer()
             self._link.until = self.clock.now() + RESTORE_S
             if self.touched or self.journal.entries:
                 self._restore(complaints)

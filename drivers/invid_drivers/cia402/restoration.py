@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.access import Access
-from invid_drivers.cia402.failures import WriteRefused
+from invid_drivers.cia402.access import Access, WriteRefused
 from invid_drivers.cia402.journal import Entry
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.stated.node_axis import NodeAxis
