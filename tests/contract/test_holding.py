@@ -22,7 +22,7 @@ from invid_drivers.cia402.standing.hold_memory import HoldMemory
 from invid_drivers.cia402.standing.holding import remembered, to_support
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
-from invid_drivers.simulated.faults import FaultConfig
+from invid_drivers.simulated.config import FaultConfig
 
 ENERGISED = {DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE}
 FALLS = 0.02

@@ -10,6 +10,7 @@ import heapq
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,7 @@ from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive, Scales
 from invid_drivers.simulated.eds import apply_eds
-from invid_drivers.simulated.faults import disturb
-from invid_drivers.simulated.injection import FaultInjector
+from invid_drivers.simulated.faults import FaultInjector, disturb
 from invid_drivers.simulated.loops import SAMPLED_S, LoopValues, put_into
 from invid_drivers.simulated.node import Handler, Node
 from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
@@ -250,18 +250,14 @@ class SimulatedCell:
         """Take in a frame from the master, complete on the wire at ``now_ns``."""
         self.now_ns = now_ns
         self.frames_in += 1
-        if self.frame_faults:
-            for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
-                if late:
-                    self.schedule(now_ns + round(late * _NS), self._later(can_id, changed))
-                else:
-                    self.deliver(can_id, changed, now_ns)
-        else:
-            for handler in (self._dispatch or self._wire_up()).get(can_id, ()):
-                handler(data, now_ns)
-
-    def _later(self, can_id: int, data: bytes) -> Callable[[int], None]:
-        return lambda now_ns: self.deliver(can_id, data, now_ns)
+        if not self.frame_faults:
+            self.deliver(can_id, data, now_ns)
+            return
+        for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
+            if late:
+                self.schedule(now_ns + round(late * _NS), partial(self.deliver, can_id, changed))
+            else:
+                self.deliver(can_id, changed, now_ns)
 
     def deliver(self, can_id: int, data: bytes, now_ns: int) -> None:
         """Hand a frame to every node that listens to it."""
