@@ -116,8 +116,6 @@ class FaultInjector:
     def begin(self, fault: FaultConfig, now_ns: int) -> None:
         """Let a fault happen now; tests and campaigns call it directly as well."""
         undo = self._start(fault, now_ns)
-        for drive in self._cell.drives:
-            drive.unsettle()
         if fault.duration_s is not None and undo is not None:
             self._cell.schedule(now_ns + round(fault.duration_s * _NS), undo)
 
@@ -161,8 +159,6 @@ class FaultInjector:
 
         def undo(_now: int) -> None:
             setattr(target, name, before)
-            if isinstance(target, Drive):
-                target.unsettle()
             then()
 
         return undo
