@@ -133,7 +133,7 @@ def test_check_leaves_a_held_axis_as_it_is_and_does_not_call_the_cell_ready(tmp_
     bench.cell.receive = heard
     master = bench.connect()
     master.check()
-    assert [(r.code, "A1" in r.text) for r in master.not_ready] == [("axis_energised", True)]
+    assert [(r.code, "A1" in r.text) for r in master.held.not_ready] == [("axis_energised", True)]
     assert [r.code for r in remembered(bench.config, bench.memory)] == ["axis_energised"]
     master.close()
     assert bench.states == []
@@ -288,7 +288,7 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     bench = Bench(tmp_path, {"brake": True, "brake_delay_s": delay}, brake="drive")
     master = enabled(bench)
     assert secure(master, [True, False])
-    assert master.holdings[0].held_by == by
+    assert master.held.holdings[0].held_by == by
     before = bench.place
     master.close()
     assert (bench.drive.state is DriveState.QUICK_STOP_ACTIVE) == (by == "drive")
@@ -297,10 +297,10 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     seen = bench.memory.of_axis(1)
     assert seen is not None
     assert seen.brake_s is not None
-    assert (seen.brake_drop > master.holdings[0].most_drop) == (by == "drive")
+    assert (seen.brake_drop > master.held.holdings[0].most_drop) == (by == "drive")
     if by == "drive":  # 1 N·m on 1 kg·m²; it could not be seen before it closed
         assert seen.falls == pytest.approx(1.0, rel=0.3)
-        said = master.holdings[0].said("axis A1")
+        said = master.held.holdings[0].said("axis A1")
         found = re.search(r"falls until that brake has closed: .*, ([\d.]+) at most in 0.3 s", said)
         assert found is not None
         assert float(found[1]) > 0.5 * (0.074 + 0.3) ** 2  # seen after 74 ms
@@ -347,13 +347,13 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     master.close()
     again = bench.connect()
     again.check()
-    assert {r.code for r in again.not_ready} == {"axis_suspect", "axis_energised"}
-    assert not any("A2" in r.text for r in again.not_ready)
+    assert {r.code for r in again.held.not_ready} == {"axis_suspect", "axis_energised"}
+    assert not any("A2" in r.text for r in again.held.not_ready)
     with pytest.raises(DriveError, match=r"Find the cause; .*--cleared A1`\. axis A1 .* is energised: "):
         energise(again, held(again))
     again.close()
     cleared = bench.connect()
-    cleared.clear(["A1"])
+    cleared.held.clear(["A1"])
     cleared.check()
     energise(cleared, [Mode.HOLD, Mode.HOLD])
     assert bench.drive.state is DriveState.OPERATION_ENABLED

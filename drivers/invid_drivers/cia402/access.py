@@ -141,10 +141,7 @@ class Access:
 
     def write(self, what: Object, value: int) -> None:
         """Write, journal first; WriteRefused where the drive does not take it."""
-        self.replace(what, what.pack(value))
-
-    def replace(self, what: Object, data: bytes) -> None:
-        """``write`` of bytes."""
+        data = what.pack(value)
         before = self.peek(what)
         if before == data:
             return

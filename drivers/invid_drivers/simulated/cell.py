@@ -21,11 +21,10 @@ from invid.errors import ConfigError
 from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
-from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
+from invid_drivers.simulated.config import AxisSimulation, LoopValues, simulation_of, truth
 from invid_drivers.simulated.drive import Drive, Scales
 from invid_drivers.simulated.eds import apply_eds
 from invid_drivers.simulated.faults import FaultInjector, disturb
-from invid_drivers.simulated.loops import SAMPLED_S, LoopValues, put_into
 from invid_drivers.simulated.node import Handler, Node
 from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
 from invid_drivers.simulated.plant import Plant
@@ -38,6 +37,9 @@ _TICK_NS = 1_000_000  # the drives' own control period where no SYNC drives them
 _NOISE_ROWS = 4096
 _MOST_SUBSTEPS = 500
 """Sub-steps a cycle; at about a microsecond each, more would be slower than real time."""
+
+SAMPLED_S = 0.001
+"""Cycle of loops that a config states, unless it says another: that of `invid tune`."""
 
 Emit = Callable[[int, bytes], None]
 
@@ -171,7 +173,7 @@ class SimulatedCell:
         bandwidth = 2.0 * math.pi * settings.position_loop_Hz
         own = LoopValues(velocity_gain=1.4 * motor * bandwidth, position_gain=bandwidth / 1.4)
         stated = settings.loops
-        put_into(command, stated or own, settings.loop_cycle_s or (SAMPLED_S if stated else 0.0))
+        _put_loops(command, stated or own, settings.loop_cycle_s or (SAMPLED_S if stated else 0.0))
         return drive
 
     def _load(self, axes: list[AxisSimulation]) -> None:
@@ -327,6 +329,19 @@ class SimulatedCell:
     def drive(self, axis: str | None) -> Drive:
         """The drive of an axis."""
         return self.drives[[a.name for a in self.config.axes].index(str(axis))]
+
+
+def _put_loops(row: Float64, values: LoopValues, cycle_s: float) -> None:
+    """Give the kernel's command row the loops' values and their cycle [s]; 0: they run in each sub-step."""
+    row[kernel.VELOCITY_GAIN], row[kernel.POSITION_GAIN] = values.velocity_gain, values.position_gain
+    row[kernel.RESET], row[kernel.CYCLE] = 1.0 / values.integral_time, cycle_s
+    row[kernel.FEED_VISCOUS], row[kernel.FEED_INERTIA] = values.viscous, values.inertia
+    filters = row[kernel.NOTCHES :].reshape(kernel.NOTCH_COUNT, kernel.NOTCH_SIZE)
+    filters[:] = [1.0, 0.0, 0.0, 0.0, 0.0]
+    if cycle_s:
+        for k, notch in enumerate(values.notches):
+            b, a = notch.coefficients(cycle_s)
+            filters[k] = [*b, *a[1:]]
 
 
 def _lag(h: float, time_constant: float) -> float:

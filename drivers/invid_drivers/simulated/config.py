@@ -20,7 +20,8 @@ from invid.model.chains import CoupledChains, case_study
 from invid.model.document import describe_validation_error, model_from_json
 from invid.numerics.arrays import frozen_float
 from invid.planning.expected_covariance import Noise, assumed_noise
-from invid_drivers.simulated.loops import LoopValues
+from invid.tuning.servo_loop import Notch
+from invid_drivers.simulated import kernel
 from invid_drivers.simulated.vendors import PROFILES
 
 
@@ -84,6 +85,22 @@ class FrictionConfig(Strict):
             "stribeck_velocity", "stribeck_velocity_rad_per_s", "stribeck_velocity_m_per_s"
         ),
     )
+
+
+class LoopValues(Strict):
+    """Values of the loops at the axis; units as ``invid tune`` writes them."""
+
+    velocity_gain: float = Field(ge=0)
+    """K_v [N·m·s/rad or N·s/m]"""
+    position_gain: float = Field(ge=0)
+    """K_p [1/s]"""
+    integral_time: float = Field(default=math.inf, gt=0)
+    """T_i [s]; infinite: nothing is integrated."""
+    viscous: float = Field(default=0.0, ge=0)
+    """Feedforward of speed [N·m·s/rad or N·s/m]"""
+    inertia: float = Field(default=0.0, ge=0)
+    """Feedforward of acceleration [kg·m² or kg]"""
+    notches: list[Notch] = Field(default_factory=list, max_length=kernel.NOTCH_COUNT)
 
 
 class LoadConfig(Strict):

@@ -10,7 +10,14 @@ from collections import deque
 from dataclasses import dataclass
 
 from invid.errors import ConfigError
-from invid_drivers.cia402.states import DriveState, OperationMode, is_energised
+from invid_drivers.cia402.states import (
+    TRANSITIONS,
+    Command,
+    DriveState,
+    OperationMode,
+    command_of,
+    is_energised,
+)
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation
@@ -18,7 +25,6 @@ from invid_drivers.simulated.limits import Limits
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
-from invid_drivers.simulated.state_machine import TRANSITIONS, Command, command_of
 
 PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = OperationMode
 _MODE_BITS = {int(mode): mode.supported_bit for mode in OperationMode}
