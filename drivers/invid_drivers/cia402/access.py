@@ -11,9 +11,8 @@ from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoCommunicationError, SdoError
-from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.objects import NodeAxis, Object, of_first_axis
 from invid_drivers.cia402.stated.declared import declared_of
-from invid_drivers.cia402.stated.node_axis import NodeAxis, of_first_axis
 from invid_drivers.cia402.stated.vendors import VENDORS
 
 PROTECTION = (

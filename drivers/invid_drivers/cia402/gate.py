@@ -12,8 +12,7 @@ import can
 
 from invid.errors import BusError
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.objects import KNOWN
-from invid_drivers.cia402.stated.node_axis import of_first_axis
+from invid_drivers.cia402.objects import KNOWN, of_first_axis
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
 NMT, SYNC, RPDOS, SDO, HEARTBEAT = 0x000, 0x080, (0x200, 0x300, 0x400, 0x500), 0x600, 0x700

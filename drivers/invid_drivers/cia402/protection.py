@@ -23,8 +23,7 @@ from invid_drivers.cia402.limits import (
 from invid_drivers.cia402.link import MASTER_ID
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.standing.stopping import SWITCHES_OFF, Stop, stop_of, stopping_facts
-from invid_drivers.cia402.stated.scales import require_nominal_current, velocity_per_unit
-from invid_drivers.cia402.stated.units import Scaling
+from invid_drivers.cia402.stated.scales import Scaling, require_nominal_current, velocity_per_unit
 from invid_drivers.eds import stated
 
 DRIVE_MARGIN = 1.25

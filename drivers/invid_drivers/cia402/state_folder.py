@@ -121,12 +121,9 @@ class StateFile:
 
     def __init__(self, path: Path | None, name: str = "") -> None:
         self.path, self._name = path, f"{name} {path}".strip()
-        self._todo: queue.SimpleQueue[tuple[Callable[[], None], str]] = queue.SimpleQueue()
+        self._todo: queue.Queue[tuple[Callable[[], None], str]] = queue.Queue()
         self._failed: list[BusError] = []
-        self._idle = threading.Event()
-        self._idle.set()
-        self._left = 0
-        self._lock = threading.Lock()
+        self._writer: threading.Thread | None = None
         self._deferred = False
 
     def append(self, line: bytes, meaning: str) -> None:
@@ -142,11 +139,9 @@ class StateFile:
     def _put(self, write: Callable[[], None], meaning: str) -> None:
         """Queue a write and wait for it unless deferred. BusError where it failed, with what that means, or
         takes too long."""
-        with self._lock:
-            if not self._left:
-                threading.Thread(target=self._work, name="disk", daemon=True).start()
-            self._left += 1
-            self._idle.clear()
+        if self._writer is None:
+            self._writer = threading.Thread(target=self._work, name="disk", daemon=True)
+            self._writer.start()
         self._todo.put((write, meaning))
         if not self._deferred:
             self.settle()
@@ -158,7 +153,9 @@ class StateFile:
     def settle(self) -> None:
         """Wait until every write is done; BusError where one failed or takes too long."""
         self._deferred = False
-        if not self._idle.wait(PATIENCE_S):
+        with self._todo.all_tasks_done:
+            is_done = self._todo.all_tasks_done.wait_for(lambda: not self._todo.unfinished_tasks, PATIENCE_S)
+        if not is_done:
             raise BusError(
                 sentence(
                     "the disk has not taken what is to be remembered of this bus for {patience_s:g} s; "
@@ -176,11 +173,7 @@ class StateFile:
                 write()
             except OSError as error:
                 self._failed.append(unwritten(self._name, error, meaning))
-            with self._lock:
-                self._left -= 1
-                if not self._left:
-                    self._idle.set()
-                    return
+            self._todo.task_done()
 
 
 @contextlib.contextmanager

@@ -21,8 +21,7 @@ from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.cia402.stated.scales import position_counts
 from invid_drivers.connect import is_virtual, open_bus
-from invid_drivers.eds_match import match, read_all
-from invid_drivers.first_config import CYCLES, Found, first_config
+from invid_drivers.first_config import CYCLES, Found, first_config, match, read_all
 from invid_drivers.round_trip import sample
 
 ANSWER_S = 0.05
@@ -131,7 +130,7 @@ def register(app: typer.Typer) -> None:
                     seen=seen,
                 )
             )
-        matches = [match(d.identity, files) for d in drives] if eds else []
+        matches = [match(d, files) for d in drives] if eds else []
         written = first_config(probe.bus, drives, round_trip, matches, out.parent)
         parse_config(written.text, source=str(out))
         out.write_text(written.text, encoding="utf-8")

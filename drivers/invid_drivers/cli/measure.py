@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,7 +27,6 @@ from invid.planning.screening import screening_plan
 from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
 from invid.sweep import Progress
-from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import (
     NOTHING,
     belief_of,
@@ -36,13 +36,15 @@ from invid_drivers.cli.expectation import (
     limits_text,
 )
 from invid_drivers.measurement import MeasurementResult, measure_to_file
-from invid_drivers.readiness import ask, foresee
+from invid_drivers.readiness import ask, foresee, loads_to_support, support_sentence
 from invid_drivers.simulated.config import sensor_noise
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
 
 STDERR = 2
+WORDS = "the emergency stop is within reach and nobody is within reach of the axes"
+"""What a person says before hardware moves."""
 
 
 @contextlib.contextmanager
@@ -77,6 +79,40 @@ def stop_on_signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def confirm(cell: CellConfig, *, confirmed: bool) -> None:
+    """Ask on the terminal, unless it was confirmed on the command line or no hardware stands behind the cell.
+
+    Without a terminal there is nobody to ask: whoever had the command started there answers for it, and is
+    told so.
+
+    Raises
+    ------
+    InputError
+        The answer was not yes.
+    """
+    if cell.simulated:
+        return
+    axes = ", ".join(a.name for a in cell.axes)
+    tried = loads_to_support(cell)
+    if tried:
+        note(f"{cell.robot}: {support_sentence(tried)}")
+    if confirmed:
+        return
+    if sys.stdin is None or not sys.stdin.isatty():
+        note(
+            f"{cell.robot} will move: {axes}. Nobody could be asked (no terminal): whoever started this "
+            f"answers for it that {WORDS} (--confirmed says so)"
+        )
+        return
+    note(f"{cell.robot} will move: {axes}. Confirm that {WORDS}. Type yes to go on:")
+    try:
+        answer = sys.stdin.readline()
+    except KeyboardInterrupt:
+        answer = ""
+    if answer.strip().lower() not in ("y", "yes"):
+        raise InputError(f"measure: not confirmed that {WORDS}; nothing was opened and nothing moved")
 
 
 class ProgressLine:
