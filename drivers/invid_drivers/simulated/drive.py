@@ -106,7 +106,6 @@ class Drive:
         od.guard(0x6060, 0, self._check_mode)
         self.configured()
         self._torque_unit = scales.direction * scales.rated_torque / 1000.0
-        self._limit = -1
         self._forget()
 
     @staticmethod
@@ -122,8 +121,6 @@ class Drive:
         self._stop_deadline_ns = 0
         self._demand = 0.0
         self._enable_due_ns: int | None = None
-        self._sent: float | None = None
-        """Torque in the plant's table, in thousandths; None while it follows something else."""
         self._target_counts: int | None = None
         self._lost_ns: int | None = None
         self._last_ns = 0
@@ -158,7 +155,6 @@ class Drive:
         self._after_stop = self._enable_due_ns = None
         if not energised:
             self._command[kernel.MODE] = kernel.MODE_OFF
-            self._sent = None
             self._demand = 0.0
             for i in range(len(self._delay)):
                 self._delay[i] = 0.0
@@ -249,9 +245,7 @@ class Drive:
         limit = _UNLIMITED
         if by_loop or self._limits_in_torque_mode:
             limit = self._e_max_torque.value  # type: ignore[assignment]
-        if limit != self._limit:
-            self._limit = limit
-            self._command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
+        self._command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
         return limit
 
     def _operate(self, now_ns: int) -> None:
@@ -282,10 +276,8 @@ class Drive:
                 return
             self._delay.append(wanted)
             wanted = self._delay.popleft()
-        if wanted != self._sent:
-            self._sent = wanted
-            self._command[kernel.TORQUE] = self._torque_unit * wanted
-            self._command[kernel.MODE] = kernel.MODE_TORQUE
+        self._command[kernel.TORQUE] = self._torque_unit * wanted
+        self._command[kernel.MODE] = kernel.MODE_TORQUE
 
     def _saturated(self) -> bool:
         """Whether the drive's own loop asks for more torque than 0x6072 allows."""
@@ -301,7 +293,6 @@ class Drive:
         command[kernel.DECELERATION] = deceleration
         command[kernel.INTERPOLATE] = command[kernel.TORQUE] = 0.0
         command[kernel.MODE] = kernel.MODE_POSITION
-        self._sent = None
 
     def _follow_position(self) -> None:
         command = self._command
