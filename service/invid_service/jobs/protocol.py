@@ -190,9 +190,10 @@ class RunnerLine(Line):
         super().__init__(connection, silence_s=silence_s)
         self.armed = threading.Event()
 
-    def hear(self, message: Arm) -> None:
-        """Take in what the service wishes beside a stop."""
-        self.armed.set()
+    def hear(self, message: Any) -> None:
+        """Take in what the service wishes beside a stop; nothing but ``Arm`` moves anything."""
+        if isinstance(message, Arm):
+            self.armed.set()
 
     def check_stop(self) -> None:
         """Raise ``Stopped`` where the end was asked for."""
