@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from invid_drivers.cia402.stated.manuals import Answer, Manual
-from invid_drivers.cia402.stated.vendors import VENDORS
+from invid_drivers.cia402.stated.vendors import VENDORS, Answer, Manual
 from invid_drivers.simulated.eds import TYPES
 from invid_drivers.simulated.object_dictionary import Entry, Nameplate, ObjectDictionary, drive_dictionary
 from invid_drivers.simulated.vendors import PROFILES, Profile

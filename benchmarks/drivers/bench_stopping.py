@@ -28,8 +28,7 @@ from invid.sweep.bounds import AxisLimits, Bounds
 from invid.sweep.ports import Mode, Want, Wish
 from invid.sweep.watch import Watch
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.stated.manuals import YES
-from invid_drivers.cia402.stated.vendors import VENDORS
+from invid_drivers.cia402.stated.vendors import VENDORS, YES
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 
 TIMER = "a drive whose manual says that 0x1400:5 acts"

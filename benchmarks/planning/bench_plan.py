@@ -26,9 +26,8 @@ from invid.identification.identify import identify
 from invid.model.document import parameter_vector
 from invid.planning.expected_covariance import is_in_goal, parameter_scale
 from invid.recording import read_recording
-from invid_drivers.foretelling import sensor_noise
+from invid_drivers.cli.measure import screen_cell
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.screening import screen_cell
 from invid_drivers.simulated import truth
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
@@ -124,10 +123,10 @@ def screened(before: CellConfig, now: CellConfig, path: Path, right: str) -> Run
     not called ``right``."""
     measure_to_file(before, path)
     model = diagnose(read_recording(path)).model
-    found = screen_cell(now, model, path, noise=sensor_noise(now))
-    if found.screening.verdict != right:
-        print(f"    seed {now.simulation['seed']}: {found.screening.sentence}"[:150])
-    return Run(found.result.duration_s, float("nan"), 0, int(found.screening.verdict != right))
+    result, found = screen_cell(now, model, path)
+    if found.verdict != right:
+        print(f"    seed {now.simulation['seed']}: {found.sentence}"[:150])
+    return Run(result.duration_s, float("nan"), 0, int(found.verdict != right))
 
 
 PLANS = {

@@ -2,7 +2,7 @@
 
 python-can (4.6.1, ``can/io/mf4.py``) imports asammdf and with it pandas whenever it is imported, for the
 reader and writer of one kind of log: 0.6 s of processor for every process that opens a bus. It does without
-them where asammdf is not to be found; ``can_log_frames`` loads them where there is such a file. Whoever
+them where asammdf is not to be found; ``can_log.frames`` loads them where there is such a file. Whoever
 writes MF4 by python-can in the same process imports ``can`` first.
 """
 

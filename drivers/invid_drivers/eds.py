@@ -35,8 +35,6 @@ class Declared:
     """By index and subindex."""
     rpdos: int
     tpdos: int
-    dummies: bool
-    """Whether gaps of a receive PDO may be filled with dummies."""
 
     def find(self, index: int, sub: int) -> ODVariable | None:
         """The entry of an object; ``None`` where the device lacks it."""
@@ -60,7 +58,6 @@ def parse_eds(path: Path, node_id: int) -> Declared:
     ValueError
         It does not parse, with the reason.
     """
-    text = _text(path)
     od = load_dictionary(path, node_id)
     found = [v for o in od.values() for v in ([o] if isinstance(o, ODVariable) else o.values())]
     objects = {(v.index, v.subindex): v for v in found}
@@ -74,7 +71,6 @@ def parse_eds(path: Path, node_id: int) -> Declared:
         variables=objects,
         rpdos=sum((0x1400 + n, 1) in objects for n in range(512)),
         tpdos=sum((0x1800 + n, 1) in objects for n in range(512)),
-        dummies="Dummy0005=1" in text.replace(" ", ""),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError, RecordingError
+from invid.planning.goal import Judge
 from invid.recording import Outcome, Recording, RecordingWriter, read_recording
 from invid.sweep import Progress, Sample
 from invid.sweep.recorder import Recorder
@@ -26,11 +27,6 @@ def row_format(axes: int) -> np.dtype[Any]:
     """One cycle on its way to the file."""
     per_axis = (("position", "<f8"), ("torque", "<f8"), ("demand", "<f8"), ("status", "<u2"), ("fresh", "?"))
     return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
-
-
-Judge = Callable[[Recording], bool]
-"""Says after each experiment but the last whether a recording needs another one; the next experiment goes on
-meanwhile."""
 
 
 class Judged:
@@ -78,8 +74,6 @@ class Filing:
         self._judged: Judged | None = None
         self._recorder: Recorder | None = None
         self._row_format = row_format(0)
-        self._outcome = Outcome.FAILED
-        self._failure: InvidError | None = None
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -105,15 +99,14 @@ class Filing:
 
     def close(self, outcome: Outcome) -> InvidError | None:
         """Wait for the disk, then mark and close the file; what went wrong with it, if anything did."""
-        self._outcome = outcome
-        self._messages.put(None)
+        self._messages.put(outcome)
         while self._thread.is_alive():
             self._thread.join(0.1)  # in pieces: Ctrl-C must come through
-        return self._failure or self.error
+        return self.error
 
     def _work(self) -> None:
         try:
-            while (message := self._messages.get()) is not None:
+            while not isinstance(message := self._messages.get(), Outcome):
                 try:
                     self._take(message)
                 except InvidError as error:
@@ -121,12 +114,11 @@ class Filing:
                 if isinstance(message, Rows):
                     with self._lock:
                         self._waiting -= len(message.packed)
-            self._end()
+            self._end(message)
         except InvidError as error:
-            self._failure = error
+            self.error = error
         except Exception as error:  # whoever closes hears of it
-            self._failure = RecordingError(f"{self._out}: cannot be written: {type(error).__name__}: {error}")
-        self.error = self.error or self._failure
+            self.error = RecordingError(f"{self._out}: cannot be written: {type(error).__name__}: {error}")
 
     def _take(self, message: Any) -> None:
         recorder = self._recorder
@@ -164,13 +156,13 @@ class Filing:
         finally:
             self._verdicts.put(Judgement(needed))
 
-    def _end(self) -> None:
+    def _end(self, outcome: Outcome) -> None:
         if self._recorder is None:
             return
         try:
             self._recorder.end()
         finally:
-            self._recorder.close(self._outcome if self.error is None else Outcome.FAILED)
+            self._recorder.close(outcome if self.error is None else Outcome.FAILED)
 
 
 class Teller:

@@ -16,6 +16,7 @@ from invid.config import CellConfig
 from invid.errors import ConfigError, DriveError, InvidError, SafetyStop, left_by, note_left
 from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan
+from invid.planning.goal import Judge
 from invid.recording import Outcome, Recording
 from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
@@ -23,7 +24,7 @@ from invid.sweep.recorder import Recorder
 from invid.wording.sentence import sentence
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.connect import connect, is_virtual
-from invid_drivers.filing import Judge, Judged
+from invid_drivers.filing import Judged
 from invid_drivers.protocol import AxisStates
 from invid_drivers.readiness import prepare, require_plan
 from invid_drivers.relay import ALL_OFF, Listeners, measure_in_process

@@ -159,7 +159,7 @@ def ask(
         return Asked(not_ready(config), error, ())
     refusal, prepared = None, None
     try:
-        cell.clear(cleared)
+        cell.held.clear(cleared)
         prepared = prepare(cell, config, wish, probes=probes)
     except InvidError as error:
         refusal = error
@@ -168,8 +168,8 @@ def ask(
     said = () if prepared is None else prepared.said
     said = (*complaints, *cell.notes, *said, *(w for r in cell.reports for w in r.warnings))
     # where the drives did not get to say it, what is remembered stands
-    reasons = cell.not_ready if cell.holdings else not_ready(config)
-    return Asked(reasons, refusal, said, prepared, tuple(cell.reports), tuple(cell.holdings))
+    reasons = cell.held.not_ready if cell.held.holdings else not_ready(config)
+    return Asked(reasons, refusal, said, prepared, tuple(cell.reports), tuple(cell.held.holdings))
 
 
 def known_after_death(config: CellConfig, longest_s: float) -> tuple[str, ...]:

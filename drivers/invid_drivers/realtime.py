@@ -46,9 +46,9 @@ from invid_drivers.protocol import (
     Finish,
     Judgement,
     LastSeen,
+    Line,
     Open,
     Rows,
-    line_of_process,
 )
 from invid_drivers.relay import KEEP_ALIVE_S, CycleTask
 from invid_drivers.scheduling import lock_memory
@@ -159,7 +159,7 @@ SILENT = f"the command that started the measurement did not answer for {KEEP_ALI
 
 def main() -> None:
     """Run one measurement; everything goes back over the line."""
-    line = line_of_process(silence_s=KEEP_ALIVE_S)
+    line = Line.of_process(silence_s=KEEP_ALIVE_S)
     leave_by(line.stop)
     task: CycleTask = line.read_task()
     die_with_parent(task.parent)

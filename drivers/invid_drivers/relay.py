@@ -15,10 +15,11 @@ from typing import Any
 
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop, left_by, note_left
+from invid.planning.goal import Judge
 from invid.recording import Outcome
 from invid.sweep import Progress
 from invid_drivers.cia402.bus import STOPPED_S
-from invid_drivers.filing import Filing, Judge, Teller
+from invid_drivers.filing import Filing, Teller
 from invid_drivers.protocol import Alive, AxisStates, Done, Failed, Process, Stop, launch
 from invid_drivers.readiness import known_after_death
 from invid_drivers.stopping_budgets import Wish

@@ -30,7 +30,7 @@ from invid.planning.stopping_distance import (
 from invid.wording.sentence import sentence
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.limits import tighten, tightened_limits
-from invid_drivers.foretelling import sensor_noise
+from invid_drivers.simulated.config import sensor_noise
 
 Budgets = tuple[StoppingBudget, ...]
 HALVINGS = 4

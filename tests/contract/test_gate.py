@@ -5,7 +5,7 @@ import struct
 import can
 import pytest
 
-from invid_drivers.cia402.gate import Gate, Known, NotPermitted
+from invid_drivers.cia402.gate import Gate, NotPermitted, Peer
 
 OFF, ENABLED, HELD = 0x0240, 0x0227, 0x0207
 NODE, OTHER = 5, 6
@@ -31,7 +31,7 @@ SYNC, BEAT = frame(0x80), frame(0x77F, b"\x05")
 
 def gate(status: int | None = None, *, ours: bool = False) -> Gate:
     made = Gate()
-    made.nodes[NODE] = Known("A1")
+    made.nodes[NODE] = Peer(NODE, "A1")
     made.listened = True
     if status is not None:
         made.heard(*answer(0x6041, 0, status))

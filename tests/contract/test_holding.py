@@ -20,7 +20,7 @@ from invid_drivers.cia402.standing.hold_memory import HoldMemory
 from invid_drivers.cia402.standing.holding import remembered, to_support
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
-from invid_drivers.simulated.faults import FaultConfig
+from invid_drivers.simulated.config import FaultConfig
 
 ENERGISED = {DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE}
 FALLS = 0.02
@@ -131,7 +131,7 @@ def test_check_leaves_a_held_axis_as_it_is_and_does_not_call_the_cell_ready(tmp_
     bench.cell.receive = heard
     master = bench.connect()
     master.check()
-    assert [(r.code, "A1" in r.text) for r in master.not_ready] == [("axis_energised", True)]
+    assert [(r.code, "A1" in r.text) for r in master.held.not_ready] == [("axis_energised", True)]
     assert [r.code for r in remembered(bench.config, bench.memory)] == ["axis_energised"]
     master.close()
     assert bench.states == []
@@ -286,7 +286,7 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     bench = Bench(tmp_path, {"brake": True, "brake_delay_s": delay}, brake="drive")
     master = enabled(bench)
     assert secure(master, [True, False])
-    assert master.holdings[0].held_by == by
+    assert master.held.holdings[0].held_by == by
     before = bench.place
     master.close()
     assert (bench.drive.state is DriveState.QUICK_STOP_ACTIVE) == (by == "drive")
@@ -295,10 +295,10 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     seen = bench.memory.of_axis(1)
     assert seen is not None
     assert seen.brake_s is not None
-    assert (seen.brake_drop > master.holdings[0].most_drop) == (by == "drive")
+    assert (seen.brake_drop > master.held.holdings[0].most_drop) == (by == "drive")
     if by == "drive":  # 1 N·m on 1 kg·m²; it could not be seen before it closed
         assert seen.falls == pytest.approx(1.0, rel=0.3)
-        said = master.holdings[0].said("axis A1")
+        said = master.held.holdings[0].said("axis A1")
         found = re.search(r"falls until that brake has closed: .*, ([\d.]+) at most in 0.3 s", said)
         assert found is not None
         assert float(found[1]) > 0.5 * (0.074 + 0.3) ** 2  # seen after 74 ms
@@ -345,13 +345,13 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     master.close()
     again = bench.connect()
     again.check()
-    assert {r.code for r in again.not_ready} == {"axis_suspect", "axis_energised"}
-    assert not any("A2" in r.text for r in again.not_ready)
+    assert {r.code for r in again.held.not_ready} == {"axis_suspect", "axis_energised"}
+    assert not any("A2" in r.text for r in again.held.not_ready)
     with pytest.raises(DriveError, match=r"Find the cause; .*--cleared A1`\. axis A1 .* is energised: "):
         energise(again, held(again))
     again.close()
     cleared = bench.connect()
-    cleared.clear(["A1"])
+    cleared.held.clear(["A1"])
     cleared.check()
     energise(cleared, [Mode.HOLD, Mode.HOLD])
     assert bench.drive.state is DriveState.OPERATION_ENABLED
@@ -405,7 +405,7 @@ def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_
     bench = Bench(tmp_path)
     master = enabled(bench)  # held for 0.1 s, which shows that its limit is enough
     lowered = bench.drive.node.od.number(0x6072)
-    bench.cell.plan_fault(
+    bench.cell.injector.plan(
         FaultConfig(kind="sign_flip", axis="A1", at_s=master.clock.now() + 0.1, signal="encoder")
     )
 
@@ -427,7 +427,7 @@ def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_
 def test_no_brake_and_no_drive_is_judged_by_an_axis_that_moved_before_the_test(tmp_path: Path) -> None:
     bench = Bench(tmp_path, {"brake": True, "brake_delay_s": 0.02}, brake="drive")
     master = enabled(bench)
-    bench.cell.plan_fault(
+    bench.cell.injector.plan(
         FaultConfig(kind="push", axis="A1", at_s=master.clock.now(), torque_Nm=8.0, duration_s=10.0)
     )
     for _ in range(10):

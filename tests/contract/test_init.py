@@ -12,8 +12,7 @@ from invid.cli.app import run
 from invid.config import load_config, parse_config
 from invid_drivers.cli import init
 from invid_drivers.eds import parse_eds
-from invid_drivers.eds_match import Identity, match
-from invid_drivers.first_config import vendor_row
+from invid_drivers.first_config import Found, match, vendor_row
 from invid_drivers.simulated import open_virtual_bus
 from invid_drivers.simulated.vendors import PROFILES
 
@@ -97,6 +96,10 @@ def test_the_row_of_vendors_is_told_from_the_name_that_the_drive_gives_itself() 
     assert vendor_row("") is None
 
 
+def drive_of(vendor: int, product: int, revision: int) -> Found:
+    return Found(1, 0x00020192, vendor, product, 1.0, 0, revision)
+
+
 @pytest.mark.parametrize(
     ("drive", "files", "taken", "said"),
     [
@@ -111,11 +114,11 @@ def test_the_revision_decides_between_files_of_one_product(
 ) -> None:
     paths = {r: stamped("epos4", tmp_path, revision=r) for r in files}
     declared = [parse_eds(p, 1) for p in paths.values()]
-    found = match(Identity(VENDOR, PRODUCTS["epos4"], drive), declared)
+    found = match(drive_of(VENDOR, PRODUCTS["epos4"], drive), declared)
     assert found.file == (None if taken is None else paths[taken])
     assert said in found.why
-    assert match(Identity(VENDOR, 7, drive), declared).file is None
-    assert "is 0" in match(Identity(0, 0x402, drive), declared).why
+    assert match(drive_of(VENDOR, 7, drive), declared).file is None
+    assert "is 0" in match(drive_of(0, 0x402, drive), declared).why
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00[DeviceInfo", b"[DeviceInfo]\nVendorNumber=x\n"])

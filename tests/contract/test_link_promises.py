@@ -94,7 +94,7 @@ def test_with_a_damaged_memory_no_axis_is_enabled_until_a_person_has_cleared_it(
         energised(cell)
     assert not any(cob == 0x201 for _, cob, _ in cell.bus.sent)
     cleared = cell.connect()
-    cleared.clear(["A1"])
+    cleared.held.clear(["A1"])
     cleared.close()
     energised(cell).close()
 
@@ -142,7 +142,7 @@ def test_a_stop_is_heard_while_a_drive_that_answers_slowly_is_prepared(cell: For
 def test_the_axes_of_an_error_are_remembered_and_no_number_in_its_words(cell: ForeignCell) -> None:
     master = energised(cell)
     master.suspect(SafetyStop("axis 1: moved by 0.1 rad", axis="A2"))
-    assert [bool(h.seen.suspect) for h in master.holdings] == [False, True]
+    assert [bool(h.seen.suspect) for h in master.held.holdings] == [False, True]
     master.close()
 
 
@@ -237,7 +237,7 @@ def test_a_run_that_is_killed_leaves_that_its_axes_may_be_energised(cell: Foreig
     cell.bus.axes[0].enter("off", "by hand")
     again = cell.connect()
     again.check()
-    assert again.not_ready == ()
+    assert again.held.not_ready == ()
     again.close()
     assert found() == []
 
@@ -277,4 +277,4 @@ def test_an_axis_that_its_drive_does_not_carry_is_left_to_its_brake_for_as_long_
     assert axis.plant.is_braked
     seen_s = brake_s + (0.1 if led else 0.0)
     assert rested - axis.plant.q < speed * seen_s + 0.5 * load * seen_s**2 + 0.02
-    assert master.holdings[0].brake_in_time
+    assert master.held.holdings[0].brake_in_time

@@ -20,7 +20,7 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.cycle_requests import NOT_NOW, Change
 from invid_drivers.cia402.cycle_time import interpolation_time
-from invid_drivers.cia402.stated.node_axis import NodeAxis
+from invid_drivers.cia402.objects import NodeAxis
 from invid_drivers.cia402.states import OperationMode
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus

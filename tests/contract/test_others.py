@@ -13,7 +13,7 @@ from invid.errors import BusError
 from invid.planning import make_plan
 from invid.sweep import Mode, Severity
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cli.init import scan
+from invid_drivers.cli.init import quiet_link
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 
@@ -132,7 +132,7 @@ def test_a_scan_asks_nobody_where_another_master_is() -> None:
     sent = Sent(bus)
     repeat(bus, 0x80, b"", begin_s=0.1, every_s=0.01)
     with pytest.raises(BusError, match="SYNC"):
-        scan(bus)
+        quiet_link(bus)
     assert sent.frames == []
 
 

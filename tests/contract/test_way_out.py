@@ -152,7 +152,7 @@ def test_a_drive_put_in_place_of_another_does_not_get_the_others_values() -> Non
         wrote = f"{before:04x}"
         wrote = wrote[2:] + wrote[:2]
         of_another = Entry(1, serial + 1, 0x6072, 0, "0b00", wrote)
-        for entry in (of_another, Entry(2, cell._drives[1].serial, 0x6072, 0, "0b00", wrote)):
+        for entry in (of_another, Entry(2, cell.drives[1].serial, 0x6072, 0, "0b00", wrote)):
             cell.journal.add(entry)
         reports = cell.check()
         assert drive.node.od.number(0x6072) == before

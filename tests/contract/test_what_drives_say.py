@@ -73,7 +73,6 @@ def test_a_healthy_drive_says_nothing(tmp_path: Path) -> None:
 def test_a_drive_that_limits_is_named_before_full_amplitude(tmp_path: Path) -> None:
     def derate(drive: Any) -> None:
         drive.node.od.put(0x6072, 0, 5)  # a drive that is hot gives 0.25 N·m
-        drive.unsettle()
 
     phases, error = run(cell(), tmp_path / "run.h5", "settling", derate)
     assert isinstance(error, SafetyStop)
@@ -84,7 +83,6 @@ def test_a_drive_that_limits_is_named_before_full_amplitude(tmp_path: Path) -> N
 def test_a_drive_that_limits_at_full_amplitude_alone_is_named_in_the_result(tmp_path: Path) -> None:
     def derate(drive: Any) -> None:
         drive.node.od.put(0x6072, 0, 60)
-        drive.unsettle()
 
     _, result = run(cell(), tmp_path / "run.h5", "experiment", derate)
     assert not isinstance(result, Exception), result
@@ -95,7 +93,6 @@ def test_a_drive_that_limits_at_full_amplitude_alone_is_named_in_the_result(tmp_
 def test_a_drive_that_no_longer_follows_its_target_is_named(tmp_path: Path) -> None:
     def ignore(drive: Any) -> None:
         drive.ignore_target = True
-        drive.unsettle()
 
     _, error = run(cell(), tmp_path / "run.h5", "experiment", ignore)
     assert isinstance(error, SafetyStop)

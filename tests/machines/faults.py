@@ -210,14 +210,14 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
 def _held_when_stuck(simulated: Any) -> list[str]:
     """Axes that were held by their drives (not in torque mode) when their encoders died."""
     blind: list[str] = []
-    begin = simulated._injector.begin
+    begin = simulated.injector.begin
 
     def noted(fault: Any, now_ns: int) -> None:
         if fault.kind == "encoder_stuck" and simulated.drive(fault.axis).mode == CYCLIC_POSITION:
             blind.append(fault.axis)
         begin(fault, now_ns)
 
-    simulated._injector.begin = noted
+    simulated.injector.begin = noted
     return blind
 
 

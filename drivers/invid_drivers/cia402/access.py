@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Self
 
 from invid.config import AxisConfig
 from invid.errors import DriveError
 from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.failures import (
-    NoAnswer,
-    ObjectError,
-    ReadRefused,
-    WriteRefused,
-    abort_in_words,
-)
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoCommunicationError, SdoError
-from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.objects import NodeAxis, Object, of_first_axis
 from invid_drivers.cia402.stated.declared import declared_of
-from invid_drivers.cia402.stated.node_axis import NodeAxis, of_first_axis
-from invid_drivers.cia402.stated.vendors import VENDORS, vendor
+from invid_drivers.cia402.stated.vendors import VENDORS
 
 PROTECTION = (
     od.CONSUMER_HEARTBEATS, od.CONSUMER_HEARTBEAT, od.PRODUCER_HEARTBEAT, od.ABORT_CONNECTION,
@@ -37,6 +30,60 @@ READ_ONLY = frozenset({0x06010000, 0x06010002, 0x08000020, 0x08000021})
 """SDO aborts that mean that an object is not to be written at all, whatever the value."""
 
 
+ABORTS = {
+    0x06020000: "the object does not exist",
+    0x06090011: "the subindex does not exist",
+    0x06010002: "it is read-only",
+    0x06010001: "it is write-only",
+    0x06040041: "it cannot be mapped into a PDO",
+    0x06040042: "the PDO would be too long",
+    0x06090030: "the value is out of range",
+    0x06090031: "the value is too high",
+    0x06090032: "the value is too low",
+    0x08000022: "not in the drive's present state",
+}
+
+
+class ObjectError(DriveError):
+    """A drive failed at one object."""
+
+    node_id: int
+    what: Object
+    abort: int | None
+    """SDO abort code, where the drive sent one."""
+    said: str
+    """The text without axis and node."""
+    says_node = False
+    """Whether ``said`` names the node itself."""
+
+    @classmethod
+    def at(cls, axis: str, node_id: int, what: Object, said: str, abort: int | None = None) -> Self:
+        """The failure of one axis's drive; built here, for an error must be made again from its text."""
+        node = "" if cls.says_node else f" (node {node_id})"
+        error = cls(f"axis {axis}{node}: {said}", axis=axis)
+        error.node_id, error.what, error.abort, error.said = node_id, what, abort, said
+        return error
+
+
+class NoAnswer(ObjectError):
+    """The drive does not answer."""
+
+    says_node = True
+
+
+class ReadRefused(ObjectError):
+    """The drive does not show the object."""
+
+
+class WriteRefused(ObjectError):
+    """The drive does not take the value."""
+
+
+def abort_in_words(abort: int) -> str:
+    """An SDO abort code (CiA 301) for a person."""
+    return f"{ABORTS.get(abort, 'refused')} (SDO abort 0x{abort:08X})"
+
+
 class Access:
     """The objects of one axis's drive; everything goes through the link."""
 
@@ -49,7 +96,7 @@ class Access:
         self.link, self.journal, self.linear = link, journal, linear
         self.serial = 0
         """0x1018:4, from ``check`` on."""
-        row = vendor(config.vendor)
+        row = VENDORS.get(config.vendor)
         if row is None:
             raise DriveError(
                 sentence(
@@ -93,10 +140,7 @@ class Access:
 
     def write(self, what: Object, value: int) -> None:
         """Write, journal first; WriteRefused where the drive does not take it."""
-        self.replace(what, what.pack(value))
-
-    def replace(self, what: Object, data: bytes) -> None:
-        """``write`` of bytes."""
+        data = what.pack(value)
         before = self.peek(what)
         if before == data:
             return

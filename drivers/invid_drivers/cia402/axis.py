@@ -13,20 +13,17 @@ from invid.errors import BusError, DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.access import Access, ObjectError, ReadRefused, WriteRefused
 from invid_drivers.cia402.cycle_requests import BUSY_S, NOT_NOW
-from invid_drivers.cia402.failures import ObjectError, ReadRefused, WriteRefused
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
-from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.objects import NodeAxis, Object
 from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
 from invid_drivers.cia402.standing.stopping import event_timer
 from invid_drivers.cia402.stated.declared import refusal
-from invid_drivers.cia402.stated.node_axis import NodeAxis
-from invid_drivers.cia402.stated.scales import read_factors
-from invid_drivers.cia402.stated.units import WHOLE, Scaling
+from invid_drivers.cia402.stated.scales import WHOLE, Scaling, read_factors
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 
 INVALID = 1 << 31

@@ -25,13 +25,12 @@ from invid_drivers.cia402.axis_state import LONGEST_RAMP_S, QUICK_STOP_S, AxisSt
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_requests import CHANGE_S
 from invid_drivers.cia402.cycle_time import tell_cycle
-from invid_drivers.cia402.disk import PATIENCE_S
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link, never
 from invid_drivers.cia402.standing.held_axes import HeldAxes
-from invid_drivers.cia402.standing.holding import AxisHolding, Reason
 from invid_drivers.cia402.standing.takeover import find_powered, require_mapped, require_mode, require_ours
+from invid_drivers.cia402.state_folder import PATIENCE_S
 from invid_drivers.cia402.states import OperationMode, is_energised
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import STOPPING, Supervisor
@@ -57,10 +56,10 @@ class Cia402Cell:
         self.link = self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
         self.clock: Clock = self.link.clock
         self.journal = journal if journal is not None else Journal(None)
-        self._drives = [Drive(self._link, a, self.journal, config) for a in config.axes]
-        self.held = HeldAxes(self._drives, self.journal)
+        self.drives = [Drive(self._link, a, self.journal, config) for a in config.axes]
+        self.held = HeldAxes(self.drives, self.journal)
         """How each axis is held when nobody commands it."""
-        self.axes = tuple(d.name for d in self._drives)
+        self.axes = tuple(d.name for d in self.drives)
         """Names, in the order of every list."""
         self.reports: tuple[DriveReport, ...] = ()
         """What each drive said at ``check``, and what follows from that."""
@@ -104,18 +103,18 @@ class Cia402Cell:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
         self._link.cancelled = lambda: self.cancelled()
         self._link.require_bus()
-        for drive in self._drives:
+        for drive in self.drives:
             drive.refuse_declared()
         self.listen()
-        powered, silent = find_powered(self._drives, self.held.memory)
+        powered, silent = find_powered(self.drives, self.held.memory)
         self._pre_operational()
         powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
-        left = [() if drive.left_alone else drive.restore() for drive in self._drives]
+        left = [() if drive.left_alone else drive.restore() for drive in self.drives]
         try:
-            self.reports = tuple(d.check(found) for d, found in zip(self._drives, left, strict=True))
+            self.reports = tuple(d.check(found) for d, found in zip(self.drives, left, strict=True))
         except DriveError as error:  # what was left as somebody set it is said once
             raise DriveError(joined([str(error), *(s for found in left for s in found)], ". ")) from None
-        for drive in self._drives:
+        for drive in self.drives:
             self._refuse_owned(drive)
         self.held.find(self.reports, powered)
         self._link.refuse_others()
@@ -126,7 +125,7 @@ class Cia402Cell:
         for i, r in enumerate(self.reports):
             position = r.scaling.direction * r.scaling.position_per_count
             most = r.scaling.most_permille(r.limits.torque.value)
-            span = self._drives[i].counts_of_circle()
+            span = self.drives[i].counts_of_circle()
             self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most, span=span)
         self.bounds = bounds_of(tighten(self._config, self.reports), self.resolution, self.rated_torque)
         return self.reports
@@ -139,25 +138,10 @@ class Cia402Cell:
 
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
-        for drive in self._drives:
+        for drive in self.drives:
             if self._link.gate.may_let_go(drive.node_id):
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
-
-    @property
-    def drives(self) -> tuple[Drive, ...]:
-        """The drives, in the order of the axes."""
-        return tuple(self._drives)
-
-    @property
-    def holdings(self) -> list[AxisHolding]:
-        """How each axis is held when nobody commands it, from ``check`` on."""
-        return self.held.holdings
-
-    @property
-    def not_ready(self) -> tuple[Reason, ...]:
-        """Axes that are energised though nobody measures, or at which the last run ended; empty: none."""
-        return self.held.not_ready
 
     @property
     def endings(self) -> tuple[str, ...]:
@@ -165,10 +149,6 @@ class Cia402Cell:
         axes = () if self._supervisor is None else self._supervisor.axes
         unseen = [a.name for a in axes if a.is_unseen()]
         return self.held.endings(self.held_at_end, unseen, self.not_held, self._cycle.sample)
-
-    def clear(self, names: Sequence[str]) -> None:
-        """A person has found the cause: these axes may be enabled again. Before ``check``."""
-        self.held.clear(names)
 
     def suspect(self, error: BaseException) -> None:
         """The run ended at the axes of an error: remembered where any axis carries a load."""
@@ -200,8 +180,8 @@ class Cia402Cell:
         return (
             *(f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves),
             *(f"{f.text} are on the bus too" for f in others if not f.master and f.node is None),
-            *(note for d in self._drives for note in d.protection.notes),
-            *(s for h in self.holdings if (s := h.said(f"axis {h.config.name}"))),
+            *(note for d in self.drives for note in d.protection.notes),
+            *(s for h in self.held.holdings if (s := h.said(f"axis {h.config.name}"))),
         )
 
     def energise(self, modes: Sequence[Mode]) -> Procedure[None]:
@@ -209,14 +189,14 @@ class Cia402Cell:
         if not self.reports:
             self.check()
         self._link.cancelled = lambda: self.cancelled()
-        if any(reason.code == "axis_suspect" for reason in self.not_ready):
-            raise DriveError(joined([s for r in self.not_ready for s in r.sentences], ". "))
-        for drive, holding in zip(self._drives, self.holdings, strict=True):
+        if any(reason.code == "axis_suspect" for reason in self.held.not_ready):
+            raise DriveError(joined([s for r in self.held.not_ready for s in r.sentences], ". "))
+        for drive, holding in zip(self.drives, self.held.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
-            elif drive.node_id in {h.config.node_id for h in self.holdings if h.taken_over}:
+            elif drive.node_id in {h.config.node_id for h in self.held.holdings if h.taken_over}:
                 require_mapped(drive)
-        for drive in self._drives:
+        for drive in self.drives:
             self._link.gate.take(drive.node_id)
             self._link.peers[drive.node_id].booted = False
         self._stopped = False
@@ -224,8 +204,8 @@ class Cia402Cell:
         self._supervisor = self._supervise()
         self._link.beating = True
         self._pre_operational()
-        rows = zip(self._drives, self.reports, self.holdings, strict=True)
-        under_power = {h.config.node_id for h in self.holdings if h.taken_over}
+        rows = zip(self.drives, self.reports, self.held.holdings, strict=True)
+        under_power = {h.config.node_id for h in self.held.holdings if h.taken_over}
         for drive, report, holding in sorted(rows, key=lambda row: row[0].of_node.number):
             drive.protection.quick_stop_option = holding.first_option
             drive.protect(report)
@@ -240,11 +220,11 @@ class Cia402Cell:
         self._link.refuse_others()
         for peer in self._link.peers.values():
             peer.last_heartbeat = None
-        for drive in self._drives:
+        for drive in self.drives:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
-        self.held.memory.disk.defer()  # from here on no cycle waits for a disk
+        self.held.memory.file.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         yield from self._look_first()
         yield from self._unless_asked(procedures.enable(self._stage), ENABLING)
@@ -260,7 +240,7 @@ class Cia402Cell:
         quick_stop = min(max([QUICK_STOP_S, *ramps_s]), LONGEST_RAMP_S)
         axes = [
             SupervisedAxis(i, holding, self._watch.estimators[i], report.torque_mode, cycle, quick_stop)
-            for i, (holding, report) in enumerate(zip(self.holdings, self.reports, strict=True))
+            for i, (holding, report) in enumerate(zip(self.held.holdings, self.reports, strict=True))
         ]
         for axis in axes:
             if axis.holding.taken_over:
@@ -273,7 +253,7 @@ class Cia402Cell:
 
     def _set_first_mode(self, axis: SupervisedAxis, mode: Mode) -> None:
         """Set the mode of an axis without power, and its targets to where it stands."""
-        drive, report = self._drives[axis.index], self.reports[axis.index]
+        drive, report = self.drives[axis.index], self.reports[axis.index]
         drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
         if mode is Mode.HOLD or drive.by_offset:
             drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
@@ -316,7 +296,7 @@ class Cia402Cell:
         cycle = self._config.bus.cycle_s
         asked = self._late_share is not None
         seconds = max(procedures.LOOK_S, procedures.LOOK_CYCLES * cycle) if asked else procedures.LOOK_S
-        answers = procedures.Answers([0] * len(self._drives))
+        answers = procedures.Answers([0] * len(self.drives))
         self._cycle.apart = asked
         try:
             yield from self._unless_asked(procedures.look(self._stage, seconds, answers), ENABLING)
@@ -339,7 +319,7 @@ class Cia402Cell:
                     late_share=self._late_share[1],
                 )
             )
-        silent = [d.name for d, n in zip(self._drives, answers.came, strict=True) if not n]
+        silent = [d.name for d, n in zip(self.drives, answers.came, strict=True) if not n]
         if silent:
             raise DriveError(
                 sentence(
@@ -394,7 +374,7 @@ class Cia402Cell:
         self.held.refuse_dead_displays(self._cycle.sample, off, self.reports)
         yield from self._set_options(CHANGE_S)
         permitted = [limit.velocity for limit in self._watch.limits]
-        for i in range(len(self._drives)):
+        for i in range(len(self.drives)):
             self._watch.permit(i, math.inf)  # a fall in the tests is none of what was planned
         before = [len(a.story) for a in supervisor.axes]
         try:
@@ -524,12 +504,12 @@ class Cia402Cell:
         try:
             if self.held_at_end:
                 self._link.attend = lambda: self.tick(self._stage.everyone(Want.END))
-            for disk in (self.journal.disk, self.held.memory.disk):
+            for file in (self.journal.file, self.held.memory.file):
                 try:
-                    disk.settle()
+                    file.settle()
                 except BusError as error:
                     complaints.append(str(error))
-                    disk.defer()
+                    file.defer()
             self._link.until = self.clock.now() + RESTORE_S
             if self.touched or self.journal.entries:
                 self._restore(complaints)
@@ -569,13 +549,13 @@ class Cia402Cell:
 
     def _restore(self, complaints: list[str]) -> None:
         on = self._perhaps_on(complaints)
-        on |= {d.name for d in self._drives if not self._link.gate.may_let_go(d.node_id)}
-        for drive in self._drives:
+        on |= {d.name for d in self.drives if not self._link.gate.may_let_go(d.node_id)}
+        for drive in self.drives:
             if drive.name not in on:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
-        suspects = {h.config.name for h in self.holdings if h.seen.suspect}
-        for drive in self._drives:
+        suspects = {h.config.name for h in self.held.holdings if h.seen.suspect}
+        for drive in self.drives:
             if drive.name in on | suspects:
                 continue
             said: tuple[str, ...] = ()
@@ -603,5 +583,5 @@ class Cia402Cell:
                 "as they are until the next start"
             )
         on = {*self.held_at_end, *self.not_off}
-        nodes = {d.node_id for d in self._drives if d.name in on}  # restored as a whole, or not
-        return {d.name for d in self._drives if d.node_id in nodes}
+        nodes = {d.node_id for d in self.drives if d.name in on}  # restored as a whole, or not
+        return {d.name for d in self.drives if d.node_id in nodes}

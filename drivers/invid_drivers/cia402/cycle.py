@@ -20,9 +20,8 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.cycle_requests import EVERY_CYCLES, Change, StateQuestion, upload
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
-from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.stated.node_axis import NodeAxis
-from invid_drivers.cia402.stated.units import WHOLE, wrapped_difference
+from invid_drivers.cia402.objects import NodeAxis, Object
+from invid_drivers.cia402.stated.scales import WHOLE, wrapped_difference
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
 UNCERTAIN_CYCLES = 0.2

@@ -9,8 +9,7 @@ from __future__ import annotations
 import struct
 
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.stated.node_axis import NodeAxis
+from invid_drivers.cia402.objects import NodeAxis, Object
 from invid_drivers.cia402.states import OperationMode
 
 CHANGE_S = 3.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 
 from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.access import WriteRefused
 from invid_drivers.cia402.axis import Drive
-from invid_drivers.cia402.failures import WriteRefused
 
 
 def tell_cycle(drive: Drive, cycle_s: float) -> None:

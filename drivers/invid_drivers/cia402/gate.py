@@ -12,8 +12,7 @@ import can
 
 from invid.errors import BusError
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.objects import KNOWN
-from invid_drivers.cia402.stated.node_axis import of_first_axis
+from invid_drivers.cia402.objects import KNOWN, of_first_axis
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
 NMT, SYNC, RPDOS, SDO, HEARTBEAT = 0x000, 0x080, (0x200, 0x300, 0x400, 0x500), 0x600, 0x700
@@ -52,15 +51,28 @@ class NotPermitted(BusError):
     """A frame that the gate kept back."""
 
 
-@dataclass
-class Known:
-    """What is known of one node in this session."""
+NO_ERROR_BELOW = 0x0100
+"""Codes of CiA 301: 00xx says that an error has gone."""
+MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
+"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
+the code for an RPDO that did not come (0x1400:5)."""
 
+
+@dataclass
+class Peer:
+    """What is known of one of our nodes in this session."""
+
+    node_id: int
     name: str
+    """Of its axes."""
+    last_heartbeat: float | None = None
+    nmt_state: int | None = None
+    """As its last heartbeat says. NMT stopped: nothing can be read of it before it is set pre-operational."""
+    booted: bool = False
+    """It has restarted."""
+    emcy: list[tuple[float, int]] = field(default_factory=list)
     states: dict[int, DriveState] = field(default_factory=dict)
     """Of its axes, as last read."""
-    stopped: bool = False
-    """Its heartbeat says NMT stopped: nothing can be read of it before it is set pre-operational."""
     ours: bool = False
     """Commanded by this master, which also brings it to rest."""
     left_alone: bool = False
@@ -82,15 +94,31 @@ class Known:
         if self.left_alone:
             return "it waits for a person"
         if self.state is None:
-            return "" if self.stopped else "it was not read in this session"
+            return "" if self.nmt_state == NMT_STOPPED else "it was not read in this session"
         return f"it is under power, in {self.state.words}" if is_energised(self.state) else ""
+
+    def own_errors(self, since: float) -> list[int]:
+        """Return the codes of errors reported since an instant, but for those that miss a master."""
+        return [
+            code
+            for said, code in self.emcy
+            if said >= since
+            and code >= NO_ERROR_BELOW
+            and code & 0xFF00 not in MISSES_MASTER
+            and code != RPDO_TIMEOUT
+        ]
+
+    @property
+    def recovered(self) -> float:
+        """Instant at which it last said that its errors are gone; 0 where it never did."""
+        return max((said for said, code in self.emcy if code < NO_ERROR_BELOW), default=0.0)
 
 
 class Gate:
     """Judges each frame before it leaves, by what is known of every node; keeps what has left."""
 
     def __init__(self) -> None:
-        self.nodes: dict[int, Known] = {}
+        self.nodes: dict[int, Peer] = {}
         self.listened = False
         self.disputed = False
         """Another master was heard: what is not ours by now is its."""
@@ -104,9 +132,10 @@ class Gate:
         if node is None or not data:
             return
         if cob & FUNCTION == HEARTBEAT:
-            node.stopped = data[0] & 0x7F == NMT_STOPPED
-            if data[0] & 0x7F == 0:
-                node.states.clear()  # it has restarted
+            node.nmt_state = data[0] & 0x7F
+            if node.nmt_state == 0:
+                node.booted = True
+                node.states.clear()
         elif data[0] >> 5 == UPLOAD and len(data) == 8:
             index, sub = int.from_bytes(data[1:3], "little"), data[3]
             first, axis = of_first_axis(index)
@@ -174,7 +203,7 @@ class Gate:
         return ""
 
 
-def _tightens(node: Known, data: bytes) -> bool:
+def _tightens(node: Peer, data: bytes) -> bool:
     """Whether what is written commands, or permits at most what was found."""
     index, sub = int.from_bytes(data[1:3], "little"), data[3]
     at = of_first_axis(index)[0], sub

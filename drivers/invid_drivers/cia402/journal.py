@@ -10,21 +10,19 @@ from __future__ import annotations
 import json
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 
 from invid.errors import BusError
 from invid.wording.sentence import sentence
-from invid_drivers.cia402.disk import Disk, unwritten
 from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.cia402.state_folder import (
-    append_line,
+    StateFile,
     files_of_others,
     owner_of,
     read_state,
-    replace_state,
     require_writable,
     state_folder,
+    unwritten,
 )
 
 NEEDED = (
@@ -60,7 +58,7 @@ class Journal:
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self._entries: list[Entry] = []
-        self.disk = Disk()
+        self.file = StateFile(path, "journal")
         self.reservation: Reservation | None = None
         """Held as long as the bus is this process's."""
         if path is not None:
@@ -82,12 +80,11 @@ class Journal:
     def add(self, entry: Entry) -> None:
         """Record a write before it is made."""
         self._entries.append(entry)
-        if self.path is not None:
-            self.disk.put(partial(append_line, self.path, _line(entry)), f"journal {self.path}", NEEDED)
+        self.file.append(_line(entry), NEEDED)
 
     def note(self, entry: Entry) -> None:
         """Record a write under power: on disk soon, for no cycle waits for it."""
-        self.disk.defer()
+        self.file.defer()
         self.add(entry)
 
     def release(self) -> None:
@@ -99,9 +96,7 @@ class Journal:
         """Drop the entries of a node but for these, which are not undone yet."""
         kept = set(map(id, entries))  # a value may be written twice: equal entries are two
         self._entries = [e for e in self._entries if e.node_id != node_id or id(e) in kept]
-        if self.path is not None:
-            text = b"".join(map(_line, self._entries))
-            self.disk.put(partial(replace_state, self.path, text), f"journal {self.path}", COMPARED)
+        self.file.replace(b"".join(map(_line, self._entries)), COMPARED)
 
 
 def _line(entry: Entry) -> bytes:

@@ -10,7 +10,6 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import can
 import canopen
@@ -20,7 +19,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoEr
 from invid.errors import BusError, SafetyStop
 from invid.sweep.ports import Clock, Event, Severity
 from invid.wording.sentence import sentence
-from invid_drivers.cia402.gate import Gate, Known
+from invid_drivers.cia402.gate import NO_ERROR_BELOW, Gate, Peer
 from invid_drivers.cia402.others import LISTEN_BEATS, LISTEN_S, MASTER_ID, Foreign, foreign
 
 SHORTEST_WAIT_S = 1e-6
@@ -39,11 +38,8 @@ UNANSWERED_S = 1.0
 """A question of the cycle that stayed unanswered so long may be asked again."""
 
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
-NO_ERROR_BELOW, GENERIC_ERROR = 0x0100, 0x1000
-"""Codes of CiA 301: 00xx says that an error has gone; and what a message too short for a code counts as."""
-MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
-"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
-the code for an RPDO that did not come (0x1400:5)."""
+GENERIC_ERROR = 0x1000
+"""What a message too short for a code counts as (CiA 301)."""
 
 _EMCY = {
     0x1000: "generic",
@@ -90,34 +86,6 @@ class RealClock:
             pass
 
 
-@dataclass
-class Peer:
-    """What is known of one node from frames it sent of itself."""
-
-    node_id: int
-    name: str
-    last_heartbeat: float | None = None
-    nmt_state: int | None = None
-    booted: bool = False
-    emcy: list[tuple[float, int]] = field(default_factory=list)
-
-    def own_errors(self, since: float) -> list[int]:
-        """Return the codes of errors reported since an instant, but for those that miss a master."""
-        return [
-            code
-            for said, code in self.emcy
-            if said >= since
-            and code >= NO_ERROR_BELOW
-            and code & 0xFF00 not in MISSES_MASTER
-            and code != RPDO_TIMEOUT
-        ]
-
-    @property
-    def recovered(self) -> float:
-        """Instant at which it last said that its errors are gone; 0 where it never did."""
-        return max((said for said, code in self.emcy if code < NO_ERROR_BELOW), default=0.0)
-
-
 class Link:
     """A python-can bus, its clock, and the nodes heard on it."""
 
@@ -126,7 +94,7 @@ class Link:
         self.gate = Gate()
         self.clock: Clock = getattr(bus, "clock", None) or RealClock()
         self.network = canopen.Network(bus)
-        self.peers: dict[int, Peer] = {}
+        self.peers = self.gate.nodes
         self.events: list[Event] = []
         self._sdo: dict[int, _PumpedSdo] = {}
         self._asked: dict[int, float] = {}
@@ -138,7 +106,6 @@ class Link:
         self.beating = False
         self.others: dict[str, Foreign] = {}
         """What was heard of others on the bus, by its words."""
-        self._names: dict[int, str] = {}
         self._echoing: bool | None = None
         self._echoes: Counter[tuple[int, bytes]] = Counter()
         self.answer_s = ANSWER_S
@@ -233,8 +200,8 @@ class Link:
             self.network.notify(cob, bytearray(data), message.timestamp)
         elif node is None:
             return
-        elif cob & 0x780 == 0x700:
-            self._heard(node, data)
+        elif cob & 0x780 == 0x700 and data:
+            self._heard(node)
         elif cob & 0x780 == 0x080:
             self._emergency(node, data)
 
@@ -250,7 +217,7 @@ class Link:
             raise BusError(_another(", ".join(heard[:5]), self.gate.said))
 
     def _look_for_others(self, message: can.Message) -> None:
-        found = foreign(message, self._names)
+        found = foreign(message, self.peers)
         if found is None or found.text in self.others:
             return
         self.others[found.text] = found
@@ -284,17 +251,11 @@ class Link:
             self._echoes.clear()
         return False
 
-    def _heard(self, node: Peer, data: bytes) -> None:
-        if not data:
-            return
+    def _heard(self, node: Peer) -> None:
         node.last_heartbeat = self.clock.now()
-        state = data[0] & 0x7F
-        if state == 0:
-            node.booted = True
-            self.events.append(
-                Event(Severity.DRIVE, f"axis {node.name} (node {node.node_id}) has restarted", node.name)
-            )
-        node.nmt_state = state
+        if node.nmt_state == 0:
+            text = f"axis {node.name} (node {node.node_id}) has restarted"
+            self.events.append(Event(Severity.DRIVE, text, node.name))
 
     def _emergency(self, node: Peer, data: bytes) -> None:
         code = int.from_bytes(data[:2], "little") if len(data) >= 2 else GENERIC_ERROR
@@ -322,8 +283,6 @@ class Link:
         peer = self.peers.setdefault(node_id, Peer(node_id, name))
         if name not in peer.name.split(", "):
             peer.name += f", {name}"
-        self._names[node_id] = peer.name
-        self.gate.nodes.setdefault(node_id, Known(name)).name = peer.name
         return peer
 
     def nmt(self, command: int, node_id: int) -> None:

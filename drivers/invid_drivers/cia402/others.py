@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import can
 
+from invid_drivers.cia402.gate import Peer
+
 MASTER_ID = 127
 """Node id of the service in its own heartbeat; axes have 1…126."""
 LISTEN_S = 1.2
@@ -31,19 +33,19 @@ class Foreign:
     """The slave that sent it, where it is one."""
 
 
-def foreign(message: can.Message, own: Mapping[int, str]) -> Foreign | None:
+def foreign(message: can.Message, own: Mapping[int, Peer]) -> Foreign | None:
     """What a frame says of others; ``None`` where it is of our nodes or says nothing.
 
     Parameters
     ----------
     own
-        Names of our axes by node id.
+        Our nodes by their ids.
     """
     cob = message.arbitration_id
     if message.is_extended_id:
         return Foreign("frames with 29-bit identifiers", master=False)
     node, function = cob & 0x7F, cob & 0x780
-    whom = f"node {node}" + (f" (axis {own[node]})" if node in own else "")
+    whom = f"node {node}" + (f" (axis {own[node].name})" if node in own else "")
     at = f"(COB-ID 0x{cob:03X})"
     if message.is_remote_frame:
         return Foreign(f"node guarding of {whom} {at}", master=True) if function == 0x700 else None
@@ -65,10 +67,10 @@ def foreign(message: can.Message, own: Mapping[int, str]) -> Foreign | None:
     return None
 
 
-def _nmt(data: bytes, own: Mapping[int, str]) -> str:
+def _nmt(data: bytes, own: Mapping[int, Peer]) -> str:
     if len(data) < 2:
         return "NMT (COB-ID 0x000)"
     what = _NMT.get(data[0], f"0x{data[0]:02X}")
-    axis = f" (axis {own[data[1]]})" if data[1] in own else ""
+    axis = f" (axis {own[data[1]].name})" if data[1] in own else ""
     whom = "all nodes" if data[1] == 0 else f"node {data[1]}{axis}"
     return f"NMT '{what}' to {whom} (COB-ID 0x000)"

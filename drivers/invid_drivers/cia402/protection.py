@@ -8,8 +8,7 @@ from invid.errors import DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.access import Access
-from invid_drivers.cia402.failures import WriteRefused
+from invid_drivers.cia402.access import Access, WriteRefused
 from invid_drivers.cia402.limits import (
     EffectiveLimits,
     Limit,
@@ -24,8 +23,7 @@ from invid_drivers.cia402.limits import (
 from invid_drivers.cia402.link import MASTER_ID
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.standing.stopping import SWITCHES_OFF, Stop, stop_of, stopping_facts
-from invid_drivers.cia402.stated.scales import require_nominal_current
-from invid_drivers.cia402.stated.units import Scaling
+from invid_drivers.cia402.stated.scales import Scaling, require_nominal_current, velocity_per_unit
 from invid_drivers.eds import stated
 
 DRIVE_MARGIN = 1.25
@@ -84,20 +82,13 @@ class Protection:
     def _torque_limits(self, scaling: Scaling, unit: str, warnings: list[str]) -> list[Limit]:
         drive = self._drive
         rated, found = scaling.rated_torque, []
-        permille = drive.find(od.MAX_TORQUE)
-        if permille == 0:
-            self._require_shipped_zero(od.MAX_TORQUE, warnings)
-        elif permille is not None:
-            found.append(
-                Limit(permille * rated / 1000, f"0x6072 of the drive: {permille} ‰ of {rated:g} {unit}")
-            )
-        for what in (od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT):
-            one_way = drive.find(what)
-            if one_way == 0:
+        for what in (od.MAX_TORQUE, od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT):
+            permille = drive.find(what)
+            if permille == 0:
                 self._require_shipped_zero(what, warnings)
-            elif one_way is not None:
-                value = one_way * rated / 1000
-                found.append(Limit(value, f"{what.address} of the drive: {one_way} ‰ of {rated:g} {unit}"))
+            elif permille is not None:
+                value = permille * rated / 1000
+                found.append(Limit(value, f"{what.address} of the drive: {permille} ‰ of {rated:g} {unit}"))
         current = drive.find(od.MAX_CURRENT)
         if current:
             found.append(
@@ -184,27 +175,20 @@ class Protection:
         profile = drive.find(od.MAX_VELOCITY)
         if profile:
             unit = "rpm" if drive.vendor.velocity_in_rpm else "counts/s"
-            found.append(
-                Limit(profile * self._per_velocity(scaling), f"0x607F of the drive: {profile} {unit}")
-            )
+            value = profile * velocity_per_unit(scaling.position_per_count, drive.vendor, linear=drive.linear)
+            found.append(Limit(value, f"0x607F of the drive: {profile} {unit}"))
         motor = drive.find(od.MAX_MOTOR_SPEED)
         if motor and not drive.linear:
             found.append(Limit(motor * 2 * math.pi / 60, f"0x6080 of the drive: {motor} rpm"))
         return found
-
-    def _per_velocity(self, scaling: Scaling) -> float:
-        """Velocity [rad/s or m/s] of one unit of 0x607F."""
-        drive = self._drive
-        if drive.vendor.velocity_in_rpm:
-            return (1.0 if drive.linear else 2 * math.pi) / 60
-        return scaling.position_per_count
 
     def _wanted(self, scaling: Scaling, limits: EffectiveLimits) -> list[tuple[Object, int, int]]:
         """Limits of the drive as (object, found, wanted), in the order in which they may be written."""
         drive = self._drive
         permille = scaling.most_permille(limits.torque.value)
         window = counts_of_window(drive.config.limits.position, DRIVE_MARGIN, scaling.position_per_count)
-        speed = math.ceil(DRIVE_MARGIN * drive.config.limits.velocity / self._per_velocity(scaling))
+        per_unit = velocity_per_unit(scaling.position_per_count, drive.vendor, linear=drive.linear)
+        speed = math.ceil(DRIVE_MARGIN * drive.config.limits.velocity / per_unit)
         here = drive.read(od.POSITION)
         low, high = drive.find(od.POSITION_LIMIT_LOW), drive.find(od.POSITION_LIMIT_HIGH)
         edges = [

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.access import Access
-from invid_drivers.cia402.failures import WriteRefused
+from invid_drivers.cia402.access import Access, WriteRefused
 from invid_drivers.cia402.journal import Entry
-from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.stated.node_axis import NodeAxis
+from invid_drivers.cia402.objects import NodeAxis, Object
 from invid_drivers.cia402.states import is_energised, state_of
 
 Address = tuple[int, int]

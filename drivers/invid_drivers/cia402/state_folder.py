@@ -7,13 +7,21 @@ import contextlib
 import errno
 import os
 import pwd
+import queue
 import stat
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+
+from invid.errors import BusError
+from invid.wording.sentence import sentence
 
 SERVICES, EVERYBODYS = Path("/var/lib/invid"), Path("/var/tmp")
 """The service's own folder, where there is one, and where every other user has one of his own."""
 PART = ".part"
+PATIENCE_S = 10.0
+"""Longest wait for a disk while no axis is energised."""
 _SAFE = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # a planted pipe must not hold a run up either
 
 
@@ -91,6 +99,81 @@ def replace_state(path: Path, data: bytes) -> None:
                 os.fsync(file.fileno())
             os.replace(part, path.name, src_dir_fd=place, dst_dir_fd=place)
         os.fsync(place)
+
+
+def unwritten(file: str, error: OSError, meaning: str) -> BusError:
+    """What to raise where a file cannot be written."""
+    return BusError(
+        sentence(
+            "{file}: cannot be written ({strerror}){meaning}",
+            file=file,
+            strerror=error.strerror,
+            meaning=meaning,
+        )
+    )
+
+
+class StateFile:
+    """A file of this folder; no cycle waits for what is written into it, by a thread of its own.
+
+    ``path`` ``None``: nothing is kept beyond this process. ``name``: what it is called where it fails.
+    """
+
+    def __init__(self, path: Path | None, name: str = "") -> None:
+        self.path, self._name = path, f"{name} {path}".strip()
+        self._todo: queue.Queue[tuple[Callable[[], None], str]] = queue.Queue()
+        self._failed: list[BusError] = []
+        self._writer: threading.Thread | None = None
+        self._deferred = False
+
+    def append(self, line: bytes, meaning: str) -> None:
+        """Add a line."""
+        if self.path is not None:
+            self._put(partial(append_line, self.path, line), meaning)
+
+    def replace(self, data: bytes, meaning: str) -> None:
+        """Put this in the place of what it held."""
+        if self.path is not None:
+            self._put(partial(replace_state, self.path, data), meaning)
+
+    def _put(self, write: Callable[[], None], meaning: str) -> None:
+        """Queue a write and wait for it unless deferred. BusError where it failed, with what that means, or
+        takes too long."""
+        if self._writer is None:
+            self._writer = threading.Thread(target=self._work, name="disk", daemon=True)
+            self._writer.start()
+        self._todo.put((write, meaning))
+        if not self._deferred:
+            self.settle()
+
+    def defer(self) -> None:
+        """Queue writes without waiting for them, until ``settle``."""
+        self._deferred = True
+
+    def settle(self) -> None:
+        """Wait until every write is done; BusError where one failed or takes too long."""
+        self._deferred = False
+        with self._todo.all_tasks_done:
+            is_done = self._todo.all_tasks_done.wait_for(lambda: not self._todo.unfinished_tasks, PATIENCE_S)
+        if not is_done:
+            raise BusError(
+                sentence(
+                    "the disk has not taken what is to be remembered of this bus for {patience_s:g} s; "
+                    "look at it before anything is enabled",
+                    patience_s=PATIENCE_S,
+                )
+            )
+        if self._failed:
+            raise self._failed.pop()
+
+    def _work(self) -> None:
+        while True:
+            write, meaning = self._todo.get()
+            try:
+                write()
+            except OSError as error:
+                self._failed.append(unwritten(self._name, error, meaning))
+            self._todo.task_done()
 
 
 @contextlib.contextmanager

@@ -21,8 +21,7 @@ from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.cia402.stated.scales import position_counts
 from invid_drivers.connect import is_virtual, open_bus
-from invid_drivers.eds_match import match, read_all
-from invid_drivers.first_config import CYCLES, Found, first_config
+from invid_drivers.first_config import CYCLES, Found, first_config, match, read_all
 from invid_drivers.round_trip import sample
 
 ANSWER_S = 0.05
@@ -30,14 +29,6 @@ ANSWER_S = 0.05
 
 NAME = Object(0x1008, 0, "B", "device name")
 MODES = {4: "profile torque", 8: "cyclic position", 10: "cyclic torque"}
-
-
-def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
-    """Ask every node id for 0x1000 and, where one answers, who it is.
-
-    Reads only, and not on the bus of another master (BusError).
-    """
-    return ask_all(quiet_link(bus), first=first, last=last)
 
 
 def quiet_link(bus: can.BusABC) -> Link:
@@ -49,7 +40,7 @@ def quiet_link(bus: can.BusABC) -> Link:
 
 
 def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
-    """The nodes that answer on a link, and what each says of itself."""
+    """The nodes that answer on a link, and what each says of itself; reads only."""
     link.answer_s = ANSWER_S
     found = []
     for node_id in range(first, last + 1):
@@ -139,7 +130,7 @@ def register(app: typer.Typer) -> None:
                     seen=seen,
                 )
             )
-        matches = [match(d.identity, files) for d in drives] if eds else []
+        matches = [match(d, files) for d in drives] if eds else []
         written = first_config(probe.bus, drives, round_trip, matches, out.parent)
         parse_config(written.text, source=str(out))
         out.write_text(written.text, encoding="utf-8")

@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import typer
 
+from invid.api import read_recording, screen
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.comparison.answers import Screening
 from invid.config import CellConfig, load_config
 from invid.errors import BusError, DriveError, InputError, SafetyStop, left_by, note_left
 from invid.model.diagnosis_document import load_model
@@ -19,10 +22,11 @@ from invid.model.document import Model, load_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.build import require_all_axes
+from invid.planning.goal import judge_of
+from invid.planning.screening import screening_plan
 from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
 from invid.sweep import Progress
-from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import (
     NOTHING,
     belief_of,
@@ -31,16 +35,16 @@ from invid_drivers.cli.expectation import (
     limits_of,
     limits_text,
 )
-from invid_drivers.foretelling import sensor_noise
-from invid_drivers.goal import judge_of
 from invid_drivers.measurement import MeasurementResult, measure_to_file
-from invid_drivers.readiness import ask, foresee
-from invid_drivers.screening import screen_cell, screening_plan
+from invid_drivers.readiness import ask, foresee, loads_to_support, support_sentence
+from invid_drivers.simulated.config import sensor_noise
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
 
 STDERR = 2
+WORDS = "the emergency stop is within reach and nobody is within reach of the axes"
+"""What a person says before hardware moves."""
 
 
 @contextlib.contextmanager
@@ -75,6 +79,40 @@ def stop_on_signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def confirm(cell: CellConfig, *, confirmed: bool) -> None:
+    """Ask on the terminal, unless it was confirmed on the command line or no hardware stands behind the cell.
+
+    Without a terminal there is nobody to ask: whoever had the command started there answers for it, and is
+    told so.
+
+    Raises
+    ------
+    InputError
+        The answer was not yes.
+    """
+    if cell.simulated:
+        return
+    axes = ", ".join(a.name for a in cell.axes)
+    tried = loads_to_support(cell)
+    if tried:
+        note(f"{cell.robot}: {support_sentence(tried)}")
+    if confirmed:
+        return
+    if sys.stdin is None or not sys.stdin.isatty():
+        note(
+            f"{cell.robot} will move: {axes}. Nobody could be asked (no terminal): whoever started this "
+            f"answers for it that {WORDS} (--confirmed says so)"
+        )
+        return
+    note(f"{cell.robot} will move: {axes}. Confirm that {WORDS}. Type yes to go on:")
+    try:
+        answer = sys.stdin.readline()
+    except KeyboardInterrupt:
+        answer = ""
+    if answer.strip().lower() not in ("y", "yes"):
+        raise InputError(f"measure: not confirmed that {WORDS}; nothing was opened and nothing moved")
 
 
 class ProgressLine:
@@ -199,16 +237,29 @@ def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, *, as_json: b
     return EXIT_OK
 
 
+def screen_cell(
+    cell: CellConfig,
+    model: Model,
+    out: Path,
+    *,
+    progress: Callable[[Progress], None] | None = None,
+    stop: threading.Event | None = None,
+) -> tuple[MeasurementResult, Screening]:
+    """Measure for seconds; the measurement, and what it says of whether anything changed since the model."""
+    plan = screening_plan(cell, from_model(model, cell), sensor_noise(cell))
+    result = measure_to_file(cell, out, Wish(plan=plan), progress=progress, stop=stop)
+    return result, screen(read_recording(out), model)
+
+
 def run_screening(cell: CellConfig, model: Model, out: Path, *, as_json: bool) -> int:
     """Screen; return 3 where nothing can be told."""
     with stop_on_signals() as stop:
-        noise = sensor_noise(cell)
-        found = screen_cell(cell, model, out, noise=noise, progress=ProgressLine(), stop=stop)
-    document, said = found.to_json(), found.screening.sentence
-    untold = found.screening.verdict == "cannot tell"
+        result, found = screen_cell(cell, model, out, progress=ProgressLine(), stop=stop)
+    document, said = {**result.to_json(), "screening": found.to_json()}, found.sentence
+    untold = found.verdict == "cannot tell"
     if untold:
         document["warnings"] = [*document["warnings"], said]
-    emit(document, f"{result_text(found.result)}\n  {found.screening.verdict}: {said}", as_json=as_json)
+    emit(document, f"{result_text(result)}\n  {found.verdict}: {said}", as_json=as_json)
     return EXIT_NOT_TRUSTWORTHY if untold else EXIT_OK
 
 
@@ -281,7 +332,7 @@ def register(app: typer.Typer) -> None:
             accepted = load_model(model)
             if dry_run:
                 believed = from_model(accepted, cell)
-                plan = screening_plan(cell, believed, sensor_noise(cell)).plan
+                plan = screening_plan(cell, believed, sensor_noise(cell))
                 return tell_plan(cell, Wish(plan=plan), believed, as_json=as_json)
             out = _required(out)
             confirm(cell, confirmed=confirmed)

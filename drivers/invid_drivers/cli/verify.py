@@ -14,7 +14,7 @@ from invid.recording import read_recording
 from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import verify
-from invid_drivers.cli.confirmation import confirm
+from invid_drivers.cli.measure import confirm
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.values.closed_loop import AMPLITUDE, closed_loop_config
 

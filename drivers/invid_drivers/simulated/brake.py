@@ -63,11 +63,6 @@ class Brake:
             self._closed = True
         self._show()
 
-    def prop(self) -> None:
-        """Put the prop under the load again, until the drive is enabled next."""
-        self._propped = self._prop > 0.0
-        self._show()
-
     def _close(self, _now_ns: int) -> None:
         self._closed = not self._energised
         self._show()

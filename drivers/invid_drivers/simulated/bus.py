@@ -63,11 +63,6 @@ class VirtualWire:
         self.frames = 0
         cell.transmit = self._from_node
 
-    @property
-    def waiting(self) -> int:
-        """Frames of the master that have not been on the wire yet."""
-        return len(self._host)
-
     def submit(self, can_id: int, data: bytes, sender: int) -> None:
         """Queue a frame of the master; its queue is first in, first out, as a controller's is."""
         if self.cell.master_off:

@@ -10,6 +10,7 @@ import heapq
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,10 @@ from invid.errors import ConfigError
 from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
-from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
+from invid_drivers.simulated.config import AxisSimulation, LoopValues, simulation_of, truth
 from invid_drivers.simulated.drive import Drive, Scales
 from invid_drivers.simulated.eds import apply_eds
-from invid_drivers.simulated.faults import FaultConfig, disturb
-from invid_drivers.simulated.injection import FaultInjector
-from invid_drivers.simulated.loops import SAMPLED_S, LoopValues, put_into
+from invid_drivers.simulated.faults import FaultInjector, disturb
 from invid_drivers.simulated.node import Handler, Node
 from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
 from invid_drivers.simulated.plant import Plant
@@ -38,6 +37,9 @@ _TICK_NS = 1_000_000  # the drives' own control period where no SYNC drives them
 _NOISE_ROWS = 4096
 _MOST_SUBSTEPS = 500
 """Sub-steps a cycle; at about a microsecond each, more would be slower than real time."""
+
+SAMPLED_S = 0.001
+"""Cycle of loops that a config states, unless it says another: that of `invid tune`."""
 
 Emit = Callable[[int, bytes], None]
 
@@ -64,8 +66,8 @@ class SimulatedCell:
         self._count = 0
         self._dispatch: dict[int, list[Handler]] | None = None
         self._tick_ns = 0
-        self._injector = FaultInjector(self)
-        self.frame_faults = self._injector.frames
+        self.injector = FaultInjector(self)
+        self.frame_faults = self.injector.frames
         self.frames_in = self.frames_out = self.syncs = 0
         chains = truth(config)
         axes = [self.simulation.axis(a.name) for a in config.axes]
@@ -98,7 +100,7 @@ class SimulatedCell:
         self._noise_row = _NOISE_ROWS
         self._noisy = bool(self._noise_scale.any())
         for fault in self.simulation.faults:
-            self._injector.plan(fault)
+            self.injector.plan(fault)
         self._load(axes)
         for drive in self.drives:
             drive.node.power_on(0)
@@ -171,7 +173,7 @@ class SimulatedCell:
         bandwidth = 2.0 * math.pi * settings.position_loop_Hz
         own = LoopValues(velocity_gain=1.4 * motor * bandwidth, position_gain=bandwidth / 1.4)
         stated = settings.loops
-        put_into(command, stated or own, settings.loop_cycle_s or (SAMPLED_S if stated else 0.0))
+        _put_loops(command, stated or own, settings.loop_cycle_s or (SAMPLED_S if stated else 0.0))
         return drive
 
     def _load(self, axes: list[AxisSimulation]) -> None:
@@ -250,18 +252,14 @@ class SimulatedCell:
         """Take in a frame from the master, complete on the wire at ``now_ns``."""
         self.now_ns = now_ns
         self.frames_in += 1
-        if self.frame_faults:
-            for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
-                if late:
-                    self.schedule(now_ns + round(late * _NS), self._later(can_id, changed))
-                else:
-                    self.deliver(can_id, changed, now_ns)
-        else:
-            for handler in (self._dispatch or self._wire_up()).get(can_id, ()):
-                handler(data, now_ns)
-
-    def _later(self, can_id: int, data: bytes) -> Callable[[int], None]:
-        return lambda now_ns: self.deliver(can_id, data, now_ns)
+        if not self.frame_faults:
+            self.deliver(can_id, data, now_ns)
+            return
+        for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
+            if late:
+                self.schedule(now_ns + round(late * _NS), partial(self.deliver, can_id, changed))
+            else:
+                self.deliver(can_id, changed, now_ns)
 
     def deliver(self, can_id: int, data: bytes, now_ns: int) -> None:
         """Hand a frame to every node that listens to it."""
@@ -332,9 +330,18 @@ class SimulatedCell:
         """The drive of an axis."""
         return self.drives[[a.name for a in self.config.axes].index(str(axis))]
 
-    def plan_fault(self, fault: FaultConfig) -> None:
-        """Let a fault happen when its time or state comes, for campaigns."""
-        self._injector.plan(fault)
+
+def _put_loops(row: Float64, values: LoopValues, cycle_s: float) -> None:
+    """Give the kernel's command row the loops' values and their cycle [s]; 0: they run in each sub-step."""
+    row[kernel.VELOCITY_GAIN], row[kernel.POSITION_GAIN] = values.velocity_gain, values.position_gain
+    row[kernel.RESET], row[kernel.CYCLE] = 1.0 / values.integral_time, cycle_s
+    row[kernel.FEED_VISCOUS], row[kernel.FEED_INERTIA] = values.viscous, values.inertia
+    filters = row[kernel.NOTCHES :].reshape(kernel.NOTCH_COUNT, kernel.NOTCH_SIZE)
+    filters[:] = [1.0, 0.0, 0.0, 0.0, 0.0]
+    if cycle_s:
+        for k, notch in enumerate(values.notches):
+            b, a = notch.coefficients(cycle_s)
+            filters[k] = [*b, *a[1:]]
 
 
 def _lag(h: float, time_constant: float) -> float:

@@ -5,20 +5,23 @@ Units stand in the keys. For a linear axis read N for Nm and m for rad: both spe
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
+import numpy as np
 from pydantic import AliasChoices, Field, ValidationError, field_validator, model_validator
 
 from invid.config.experiments import Strict
 from invid.config.schema import CellConfig
 from invid.errors import ConfigError, ModelError
 from invid.model.chains import CoupledChains, case_study
-from invid.model.document import describe_validation_error
+from invid.model.document import describe_validation_error, model_from_json
 from invid.numerics.arrays import frozen_float
-from invid_drivers.simulated.faults import FaultConfig
-from invid_drivers.simulated.loops import LoopValues
+from invid.planning.expected_covariance import Noise, assumed_noise
+from invid.tuning.servo_loop import Notch
+from invid_drivers.simulated import kernel
 from invid_drivers.simulated.vendors import PROFILES
 
 
@@ -82,6 +85,22 @@ class FrictionConfig(Strict):
             "stribeck_velocity", "stribeck_velocity_rad_per_s", "stribeck_velocity_m_per_s"
         ),
     )
+
+
+class LoopValues(Strict):
+    """Values of the loops at the axis; units as ``invid tune`` writes them."""
+
+    velocity_gain: float = Field(ge=0)
+    """K_v [N·m·s/rad or N·s/m]"""
+    position_gain: float = Field(ge=0)
+    """K_p [1/s]"""
+    integral_time: float = Field(default=math.inf, gt=0)
+    """T_i [s]; infinite: nothing is integrated."""
+    viscous: float = Field(default=0.0, ge=0)
+    """Feedforward of speed [N·m·s/rad or N·s/m]"""
+    inertia: float = Field(default=0.0, ge=0)
+    """Feedforward of acceleration [kg·m² or kg]"""
+    notches: list[Notch] = Field(default_factory=list, max_length=kernel.NOTCH_COUNT)
 
 
 class LoadConfig(Strict):
@@ -191,6 +210,58 @@ class AxisSimulation(Strict):
     objects: ObjectsConfig = ObjectsConfig()
 
 
+FrameFaultKind = Literal["drop", "delay", "duplicate", "corrupt"]
+DriveFaultKind = Literal[
+    "node_reset", "node_silent", "bus_off", "emcy", "drive_fault", "ignore_quick_stop", "ignore_controlword",
+    "encoder_jump", "encoder_stuck", "sign_flip", "brake_stuck", "torque_saturation", "push", "statusword",
+    "mode_display", "torque_display", "torque_scale", "ignore_target",
+]  # fmt: skip
+FRAME_FAULTS: tuple[str, ...] = get_args(FrameFaultKind)
+DRIVE_FAULTS: tuple[str, ...] = get_args(DriveFaultKind)
+
+
+class FaultConfig(Strict):
+    """One injected fault; the fields that a kind does not use must be left out."""
+
+    kind: FrameFaultKind | DriveFaultKind
+    axis: str | None = None
+    """None: the master's own port for bus_off, every frame for faults on frames."""
+    at_s: float | None = Field(default=None, ge=0)
+    at_state: (
+        Literal["ready_to_switch_on", "switched_on", "operation_enabled", "quick_stop_active", "fault"] | None
+    ) = None
+    after_s: float = Field(default=0.0, ge=0)
+    duration_s: float | None = Field(default=None, gt=0)
+    # faults on frames
+    can_ids: list[int] | None = None
+    """11-bit identifiers; None: all of the axis, or all."""
+    rate: float = Field(default=1.0, ge=0, le=1)
+    count: int | None = Field(default=None, ge=1)
+    """Stop after so many frames (a burst)."""
+    delay_s: float = Field(default=0.001, gt=0)
+    # faults of drives
+    code: int = Field(default=0x2310, ge=0, le=0xFFFF)
+    length: int = Field(default=8, ge=1, le=8)
+    counts: int = 0
+    signal: Literal["torque", "encoder"] = "torque"
+    limit: float = Field(default=0.0, ge=0, validation_alias="limit_Nm")
+    torque: float = Field(default=0.0, validation_alias="torque_Nm")
+    value: int = Field(default=0, ge=-32768, le=0xFFFF)
+    gain: float = 1.0
+    """0x6077 over the torque."""
+
+    @model_validator(mode="after")
+    def _when_and_where(self) -> FaultConfig:
+        if (self.at_s is None) == (self.at_state is None):
+            raise ValueError(f"fault {self.kind}: give either at_s or at_state")
+        needs_axis = self.kind in DRIVE_FAULTS and self.kind != "bus_off"
+        if (needs_axis or self.at_state is not None) and self.axis is None:
+            raise ValueError(f"fault {self.kind}: give the axis")
+        if self.kind == "mode_display" and not -128 <= self.value <= 127:
+            raise ValueError(f"fault mode_display: value {self.value} is no mode; it must be -128 to 127")
+        return self
+
+
 class EffectConfig(Strict):
     """One departure from the linear model, by its name in the contract's list of causes."""
 
@@ -268,27 +339,29 @@ def truth(config: CellConfig) -> CoupledChains:
             f"config of {config.robot!r}: simulation.plant.branches are for "
             f"{[b.axis for b in plant.branches]}, the cell has {names}; one branch per axis is needed"
         )
-    branches = [by_axis[name] for name in names]
+    document = {
+        "format": "invid-model",
+        "format_version": 1,
+        "branches": [
+            {
+                "axis": name,
+                "masses": _estimates(by_axis[name].masses),
+                "springs": _estimates(by_axis[name].springs),
+                "dampers": _estimates(by_axis[name].dampers or _dampers(by_axis[name], plant.damping_ratio)),
+            }
+            for name in names
+        ],
+        "couplings": [c.model_dump() for c in plant.couplings],
+    }
     try:
-        couplings = _coupling_matrix(plant.couplings, names)
-        dampers = [b.dampers or _dampers(b, plant.damping_ratio) for b in branches]
-        parts = [b.masses for b in branches], [b.springs for b in branches], dampers
-        return replace(CoupledChains.build(*parts, couplings, axes=names), ground_dampers=viscous)
+        model = model_from_json(document, source=f"config of {config.robot!r}: simulation.plant")
     except ModelError as error:
-        raise ConfigError(f"config of {config.robot!r}: simulation.plant: {error}") from None
+        raise ConfigError(str(error)) from None
+    return replace(model.chains, ground_dampers=viscous)
 
 
-def _coupling_matrix(couplings: list[CouplingConfig], names: list[str]) -> list[list[float]]:
-    matrix = [[0.0] * len(names) for _ in names]
-    for coupling in couplings:
-        for name in coupling.between:
-            if name not in names:
-                raise ModelError(f"coupling between {list(coupling.between)}: no axis {name!r}")
-        i, j = (names.index(name) for name in coupling.between)
-        if i == j:
-            raise ModelError(f"coupling between {list(coupling.between)}: the two axes must differ")
-        matrix[i][j] = matrix[j][i] = coupling.value
-    return matrix
+def _estimates(values: list[float]) -> list[dict[str, float]]:
+    return [{"value": value} for value in values]
 
 
 def _dampers(branch: BranchConfig, ratio: float) -> list[float]:
@@ -297,3 +370,26 @@ def _dampers(branch: BranchConfig, ratio: float) -> list[float]:
     for k, a, b in zip(branch.springs, branch.masses[:-1], branch.masses[1:], strict=False):
         values.append(2.0 * ratio * max(k * a * b / (a + b), 0.0) ** 0.5)
     return values
+
+
+def sensor_noise(config: CellConfig) -> Noise:
+    """Noise and lattice of every axis: those of the simulated drives, else assumed ones."""
+    if not config.simulated:
+        return assumed_noise(config)
+    simulation = simulation_of(config)
+    turn = 1.0 if config.linear else 2 * math.pi
+    own = [simulation.axis(a.name) for a in config.axes]
+    # as the simulated drive takes it: its own, else the axis's, else 100
+    rated = np.array(
+        [s.rated_torque or a.rated_torque or 100.0 for s, a in zip(own, config.axes, strict=True)]
+    )
+    step = np.array(
+        [a.position_per_count or turn / s.encoder_counts for s, a in zip(own, config.axes, strict=True)]
+    )
+    return Noise(
+        position=frozen_float(step * [s.position_noise_counts for s in own]),
+        position_step=frozen_float(step),
+        torque=frozen_float(rated * [s.torque_noise for s in own]),
+        torque_step=frozen_float(rated * [1e-3 * s.torque_steps_permille for s in own]),
+        source="the simulated drives of the config",
+    )

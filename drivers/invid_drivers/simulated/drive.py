@@ -10,7 +10,14 @@ from collections import deque
 from dataclasses import dataclass
 
 from invid.errors import ConfigError
-from invid_drivers.cia402.states import DriveState, OperationMode, is_energised
+from invid_drivers.cia402.states import (
+    TRANSITIONS,
+    Command,
+    DriveState,
+    OperationMode,
+    command_of,
+    is_energised,
+)
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation
@@ -18,7 +25,6 @@ from invid_drivers.simulated.limits import Limits
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
-from invid_drivers.simulated.state_machine import TRANSITIONS, Command, command_of
 
 PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = OperationMode
 _MODE_BITS = {int(mode): mode.supported_bit for mode in OperationMode}
@@ -100,7 +106,6 @@ class Drive:
         od.guard(0x6060, 0, self._check_mode)
         self.configured()
         self._torque_unit = scales.direction * scales.rated_torque / 1000.0
-        self._limit = -1
         self._forget()
 
     @staticmethod
@@ -113,13 +118,9 @@ class Drive:
         self.mode = self._wanted_mode = self._shown_mode = 0
         self._mode_due_ns = self._shown_due_ns = 0
         self._after_stop: DriveState | None = None
-        self._steady = False
-        self._shown_nmt = Nmt.INITIALISING
         self._stop_deadline_ns = 0
         self._demand = 0.0
         self._enable_due_ns: int | None = None
-        self._sent: float | None = None
-        """Torque in the plant's table, in thousandths; None while it follows something else."""
         self._target_counts: int | None = None
         self._lost_ns: int | None = None
         self._last_ns = 0
@@ -146,7 +147,6 @@ class Drive:
         return self.node.od.number(0x6502, missing=sum(_MODE_BITS.values()))
 
     def _enter(self, state: DriveState) -> None:
-        self._steady = False
         energised = is_energised(state)
         if energised and not is_energised(self.state):
             self._target_counts = None
@@ -155,15 +155,10 @@ class Drive:
         self._after_stop = self._enable_due_ns = None
         if not energised:
             self._command[kernel.MODE] = kernel.MODE_OFF
-            self._sent = None
             self._demand = 0.0
             for i in range(len(self._delay)):
                 self._delay[i] = 0.0
         self.brake.follow(energised)
-
-    def unsettle(self) -> None:
-        """Look at everything in the next tick: something changed from outside."""
-        self._steady = False
 
     # --- one step --------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
@@ -173,24 +168,6 @@ class Drive:
             shown = max(-32768, min(32767, round(shown * self.torque_gain)))
         self._e_torque.value = shown if self.torque_lie is None else self.torque_lie
         word: int = self._e_controlword.value  # type: ignore[assignment]
-        if (
-            self._steady
-            and word == self._controlword
-            and self._e_mode.value == self.mode == self._shown_mode
-            and self.node.state is self._shown_nmt
-        ):
-            limited = self._internal_limit
-            self._operate(now_ns)
-            self._supervise(now_ns)
-            if limited is not self._internal_limit or self._following or not self._steady:
-                self._show()
-        else:
-            self._step(word, now_ns)
-        self._last_ns = now_ns
-        self.synchronous = False
-
-    def _step(self, word: int, now_ns: int) -> None:
-        """Do a tick in which something may change."""
         if word != self._controlword:
             self._control(word, now_ns)
         if self._enable_due_ns is not None and now_ns >= self._enable_due_ns:
@@ -203,12 +180,8 @@ class Drive:
         if self.state is DriveState.OPERATION_ENABLED:
             self._supervise(now_ns)
         self._show()
-        # a ramp changes bit 10 of the statusword by itself, so profile torque is never steady
-        self._steady = (
-            self.state is DriveState.OPERATION_ENABLED
-            and self._after_stop is None
-            and self.mode != PROFILE_TORQUE
-        )
+        self._last_ns = now_ns
+        self.synchronous = False
 
     def _control(self, word: int, now_ns: int) -> None:
         previous, self._controlword = self._controlword, word
@@ -246,7 +219,6 @@ class Drive:
     def _enable(self, now_ns: int) -> None:
         """Do transition 4, as fast as the drive is."""
         if self._enable_ns:
-            self._steady = False
             self._enable_due_ns = now_ns + self._enable_ns
         else:
             self._enter(DriveState.OPERATION_ENABLED)
@@ -255,13 +227,12 @@ class Drive:
         wanted = int(self._e_mode.value)
         if wanted != self._wanted_mode:
             self._wanted_mode, self._mode_due_ns = wanted, now_ns + round(self._settings.mode_change_s * _NS)
-        if wanted != self.mode and now_ns >= self._mode_due_ns:
-            self._steady = False
-            if wanted == 0 or self._modes & _MODE_BITS.get(wanted, 0):
-                self.mode = wanted
-                self._shown_due_ns = now_ns + round(self._settings.mode_display_s * _NS)
-                self._target_counts = None
-                self._demand = 0.0
+        due = wanted != self.mode and now_ns >= self._mode_due_ns
+        if due and (wanted == 0 or self._modes & _MODE_BITS.get(wanted, 0)):
+            self.mode = wanted
+            self._shown_due_ns = now_ns + round(self._settings.mode_display_s * _NS)
+            self._target_counts = None
+            self._demand = 0.0
         if now_ns >= self._shown_due_ns:
             self._shown_mode = self.mode
 
@@ -274,9 +245,7 @@ class Drive:
         limit = _UNLIMITED
         if by_loop or self._limits_in_torque_mode:
             limit = self._e_max_torque.value  # type: ignore[assignment]
-        if limit != self._limit:
-            self._limit = limit
-            self._command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
+        self._command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
         return limit
 
     def _operate(self, now_ns: int) -> None:
@@ -307,10 +276,8 @@ class Drive:
                 return
             self._delay.append(wanted)
             wanted = self._delay.popleft()
-        if wanted != self._sent:
-            self._sent = wanted
-            self._command[kernel.TORQUE] = self._torque_unit * wanted
-            self._command[kernel.MODE] = kernel.MODE_TORQUE
+        self._command[kernel.TORQUE] = self._torque_unit * wanted
+        self._command[kernel.MODE] = kernel.MODE_TORQUE
 
     def _saturated(self) -> bool:
         """Whether the drive's own loop asks for more torque than 0x6072 allows."""
@@ -326,7 +293,6 @@ class Drive:
         command[kernel.DECELERATION] = deceleration
         command[kernel.INTERPOLATE] = command[kernel.TORQUE] = 0.0
         command[kernel.MODE] = kernel.MODE_POSITION
-        self._sent = None
 
     def _follow_position(self) -> None:
         command = self._command
@@ -362,7 +328,6 @@ class Drive:
                 self._hold_here()  # no ramp: it is held where it is
             return
         self._hold_here(speed, deceleration)
-        self._steady = False
         self._after_stop = target
         # the ramp and a tenth of a second to settle; then the drive gives up on standstill
         self._stop_deadline_ns = now_ns + round((abs(speed) / deceleration + 0.1) * 1e9)
@@ -455,7 +420,6 @@ class Drive:
     def _show(self) -> None:
         """Write statusword and mode display."""
         state = self.state
-        self._shown_nmt = self.node.state
         word = state | 0x10  # voltage enabled
         if self.node.state is Nmt.OPERATIONAL:
             word |= 0x200

@@ -10,7 +10,6 @@ from invid_drivers.simulated.object_dictionary import ObjectDictionary
 
 TYPES = {"b": 0x2, "h": 0x3, "i": 0x4, "B": 0x5, "H": 0x6, "I": 0x7, "s": 0x9}
 _CODES = {number: code for code, number in TYPES.items()}
-_DUMMIES = range(0x1, 0x8)
 
 
 def apply_eds(od: ObjectDictionary, path: Path, node_id: int) -> None:
@@ -28,12 +27,11 @@ def apply_eds(od: ObjectDictionary, path: Path, node_id: int) -> None:
     except ValueError as error:
         raise ConfigError(f"simulation: EDS {path}: {error}") from None
     for entry in list(od):
-        dummy = entry.index in _DUMMIES
-        if (entry.index, entry.sub) not in declared.variables and not (dummy and declared.dummies):
+        if (entry.index, entry.sub) not in declared.variables:
             od.remove_entry(entry.index, entry.sub)
     for (index, sub), variable in declared.variables.items():
         code, value = _CODES.get(variable.data_type or 0), stated(variable)
-        if code is None:
+        if code is None or index < 0x1000:  # a dummy, which fills a gap of a receive PDO
             continue
         known = od.find(index, sub) or od.add(index, sub, code, variable.access_type, 0)
         if not variable.pdo_mappable:

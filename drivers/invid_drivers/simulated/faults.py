@@ -7,64 +7,33 @@ frames are drawn from the cell's seed, so that a run repeats.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from invid.config.experiments import Strict
+from invid_drivers.cia402.states import DriveState
+from invid_drivers.simulated import kernel
+from invid_drivers.simulated.config import FRAME_FAULTS, FaultConfig
+from invid_drivers.simulated.drive import Drive
 
-FrameFaultKind = Literal["drop", "delay", "duplicate", "corrupt"]
-DriveFaultKind = Literal[
-    "node_reset", "node_silent", "bus_off", "emcy", "drive_fault", "ignore_quick_stop", "ignore_controlword",
-    "encoder_jump", "encoder_stuck", "sign_flip", "brake_stuck", "torque_saturation", "push", "statusword",
-    "mode_display", "torque_display", "torque_scale", "ignore_target",
-]  # fmt: skip
-FRAME_FAULTS: tuple[str, ...] = get_args(FrameFaultKind)
-DRIVE_FAULTS: tuple[str, ...] = get_args(DriveFaultKind)
+if TYPE_CHECKING:
+    from invid_drivers.simulated.cell import SimulatedCell
 
+_NS = 1_000_000_000
+_LOOK_NS = 1_000_000  # how often an awaited state is looked for: the drives' own control period
 
-class FaultConfig(Strict):
-    """One injected fault; the fields that a kind does not use must be left out."""
-
-    kind: FrameFaultKind | DriveFaultKind
-    axis: str | None = None
-    """None: the master's own port for bus_off, every frame for faults on frames."""
-    at_s: float | None = Field(default=None, ge=0)
-    at_state: (
-        Literal["ready_to_switch_on", "switched_on", "operation_enabled", "quick_stop_active", "fault"] | None
-    ) = None
-    after_s: float = Field(default=0.0, ge=0)
-    duration_s: float | None = Field(default=None, gt=0)
-    # faults on frames
-    can_ids: list[int] | None = None
-    """11-bit identifiers; None: all of the axis, or all."""
-    rate: float = Field(default=1.0, ge=0, le=1)
-    count: int | None = Field(default=None, ge=1)
-    """Stop after so many frames (a burst)."""
-    delay_s: float = Field(default=0.001, gt=0)
-    # faults of drives
-    code: int = Field(default=0x2310, ge=0, le=0xFFFF)
-    length: int = Field(default=8, ge=1, le=8)
-    counts: int = 0
-    signal: Literal["torque", "encoder"] = "torque"
-    limit: float = Field(default=0.0, ge=0, validation_alias="limit_Nm")
-    torque: float = Field(default=0.0, validation_alias="torque_Nm")
-    value: int = Field(default=0, ge=-32768, le=0xFFFF)
-    gain: float = 1.0
-    """0x6077 over the torque."""
-
-    @model_validator(mode="after")
-    def _when_and_where(self) -> FaultConfig:
-        if (self.at_s is None) == (self.at_state is None):
-            raise ValueError(f"fault {self.kind}: give either at_s or at_state")
-        needs_axis = self.kind in DRIVE_FAULTS and self.kind != "bus_off"
-        if (needs_axis or self.at_state is not None) and self.axis is None:
-            raise ValueError(f"fault {self.kind}: give the axis")
-        if self.kind == "mode_display" and not -128 <= self.value <= 127:
-            raise ValueError(f"fault mode_display: value {self.value} is no mode; it must be -128 to 127")
-        return self
+_SWITCHES: dict[str, tuple[str, Callable[[FaultConfig], float | bool]]] = {
+    "ignore_quick_stop": ("ignore_quick_stop", lambda fault: True),
+    "ignore_controlword": ("ignore_controlword", lambda fault: True),
+    "ignore_target": ("ignore_target", lambda fault: True),
+    "statusword": ("statusword_lie", lambda fault: fault.value & 0xFFFF),
+    "mode_display": ("mode_lie", lambda fault: fault.value),
+    "torque_display": ("torque_lie", lambda fault: fault.value),
+    "torque_scale": ("torque_gain", lambda fault: fault.gain),
+}
+"""What a fault sets of the drive, and to what."""
 
 
 @dataclass
@@ -117,3 +86,122 @@ def _flip(data: bytes, random: np.random.Generator) -> bytes:
     changed = bytearray(data)
     changed[bit // 8] ^= 1 << (bit % 8)
     return bytes(changed)
+
+
+class FaultInjector:
+    """Begins and ends the faults of one cell."""
+
+    def __init__(self, cell: SimulatedCell) -> None:
+        self._cell = cell
+        self.frames: list[FrameFault] = []
+        """Active faults on frames."""
+
+    def plan(self, fault: FaultConfig) -> None:
+        """Let a fault happen when its time or state comes."""
+        cell = self._cell
+        if fault.at_s is not None:
+            cell.schedule(round(fault.at_s * _NS), lambda now_ns: self.begin(fault, now_ns))
+            return
+        wanted = DriveState[(fault.at_state or "").upper()]
+        drive = cell.drive(fault.axis)
+
+        def wait(now_ns: int) -> None:
+            if drive.state is wanted:
+                cell.schedule(now_ns + round(fault.after_s * _NS), lambda at_ns: self.begin(fault, at_ns))
+            else:
+                cell.schedule(now_ns + _LOOK_NS, wait)
+
+        cell.schedule(0, wait)
+
+    def begin(self, fault: FaultConfig, now_ns: int) -> None:
+        """Let a fault happen now; tests and campaigns call it directly as well."""
+        undo = self._start(fault, now_ns)
+        if fault.duration_s is not None and undo is not None:
+            self._cell.schedule(now_ns + round(fault.duration_s * _NS), undo)
+
+    def _start(self, fault: FaultConfig, now_ns: int) -> Callable[[int], None] | None:
+        kind = fault.kind
+        if kind in FRAME_FAULTS:
+            active = FrameFault(fault, self._fault_ids(fault), fault.count)
+            self.frames.append(active)
+            return lambda _now: self.frames.remove(active)
+        if kind == "bus_off" and fault.axis is None:
+            return self._set(self._cell, "master_off", True)
+        drive = self._cell.drive(fault.axis)
+        node = drive.node
+        if kind in ("node_silent", "bus_off"):
+            undo = self._set(node, "silent", True, then=self._cell.rewire)
+            if kind == "bus_off":  # a node knows that it is bus-off; one with a pulled cable does not
+                drive.connection_lost(now_ns)
+            return undo
+        if kind == "node_reset":
+            node.power_on(now_ns)
+        elif kind == "emcy":
+            node.emergency(fault.code, 0x01, length=fault.length)
+        elif kind == "drive_fault":
+            drive.fail(fault.code, 0x01, now_ns)
+        elif kind == "brake_stuck":
+            return self._set(drive.brake, "stuck", True)
+        elif kind in _SWITCHES:
+            name, value = _SWITCHES[kind]
+            return self._set(drive, name, value(fault))
+        else:
+            return self._disturb_motor(fault, drive, now_ns)
+        return None
+
+    @staticmethod
+    def _set(
+        target: object, name: str, value: object, then: Callable[[], None] = lambda: None
+    ) -> Callable[[int], None]:
+        before = getattr(target, name)
+        setattr(target, name, value)
+        then()
+
+        def undo(_now: int) -> None:
+            setattr(target, name, before)
+            then()
+
+        return undo
+
+    def _disturb_motor(self, fault: FaultConfig, drive: Drive, now_ns: int) -> Callable[[int], None] | None:
+        self._cell.plant.advance_to(now_ns)
+        command = self._cell.plant.command[drive.row]
+        kind = fault.kind
+        if kind == "push":
+            motor = int(self._cell.plant.structure.motors[drive.row])
+            self._cell.plant.external[motor] += fault.torque
+
+            def let_go(at_ns: int) -> None:
+                self._cell.plant.advance_to(at_ns)
+                self._cell.plant.external[motor] -= fault.torque
+
+            return let_go
+        if kind == "encoder_jump":
+            column, value = kernel.ENCODER_OFFSET, command[kernel.ENCODER_OFFSET]
+            value += drive.direction * fault.counts / drive.counts_per_unit
+        elif kind == "encoder_stuck":
+            command[kernel.STUCK_AT] = (
+                drive.measured[3] / drive.counts_per_unit - command[kernel.ENCODER_OFFSET]
+            )
+            column, value = kernel.STUCK, 1.0
+        elif kind == "sign_flip":
+            column = kernel.TORQUE_GAIN if fault.signal == "torque" else kernel.ENCODER_SIGN
+            value = -command[column]
+        else:
+            column, value = kernel.SATURATION, fault.limit
+        before = float(command[column])
+        command[column] = value
+
+        def undo(at_ns: int) -> None:
+            self._cell.plant.advance_to(at_ns)
+            command[column] = before
+
+        return undo
+
+    def _fault_ids(self, fault: FaultConfig) -> frozenset[int] | None:
+        if fault.can_ids is not None:
+            return frozenset(fault.can_ids)
+        if fault.axis is None:
+            return None
+        node = self._cell.drive(fault.axis).node.node_id
+        return frozenset(base + node for base in range(0x80, 0x780, 0x80))

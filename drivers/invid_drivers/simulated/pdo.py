@@ -49,11 +49,11 @@ class TransmitPdo:
         return self.packing.pack(*[e.value for e in self.entries])
 
 
-def mapped_entries(od: ObjectDictionary, index: int, way: str) -> list[Entry]:
-    """Entries that mapping object ``index`` names; SdoAbort where one cannot be mapped."""
-    entries: list[Entry] = []
-    for sub in range(1, od.number(index) + 1):
-        entries.append(_mapped(od, od.number(index, sub), way))
+def mapped_entries(od: ObjectDictionary, index: int, way: str, count: int | None = None) -> list[Entry]:
+    """Entries that mapping object ``index`` names, or the first ``count``; SdoAbort where one cannot be
+    mapped."""
+    last = od.number(index) if count is None else count
+    entries = [_mapped(od, od.number(index, sub), way) for sub in range(1, last + 1)]
     if sum(e.size for e in entries) > 8:
         raise SdoAbort(SdoAbort.PDO_LENGTH)
     return entries
@@ -122,11 +122,7 @@ class _ConfigurationGuard:
             raise SdoAbort(SdoAbort.UNSUPPORTED)
         if value > 8:
             raise SdoAbort(SdoAbort.PDO_LENGTH)
-        entries = [
-            _mapped(self.od, self.od.number(self.mapping, sub), self.way) for sub in range(1, value + 1)
-        ]
-        if sum(e.size for e in entries) > 8:
-            raise SdoAbort(SdoAbort.PDO_LENGTH)
+        mapped_entries(self.od, self.mapping, self.way, value)
 
     def check_mapped(self, value: int) -> None:
         if self._is_valid() or int(self.od.entry(self.mapping, 0).value) != 0:

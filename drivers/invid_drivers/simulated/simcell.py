@@ -15,6 +15,7 @@ from can import BusABC, Message
 
 from invid.config.schema import CellConfig
 from invid.errors import BusError, ConfigError
+from invid_drivers.adapters import open_adapter
 from invid_drivers.scheduling import lock_memory, priority
 from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.node import Nmt
@@ -55,7 +56,7 @@ def open_cell_bus(config: CellConfig) -> BusABC:
     Raises
     ------
     ConfigError
-        Where the bus exists in virtual time only.
+        Where the bus exists in virtual time only, or python-can has no such interface.
     BusError
         Where the bus cannot be opened.
     """
@@ -65,13 +66,11 @@ def open_cell_bus(config: CellConfig) -> BusABC:
             "bus.interface: invid-virtual lives inside the master's process and has no real time; "
             "give the simulated cell invid-unix, socketcan or another python-can interface"
         )
+    if bus.interface != "invid-unix":
+        return open_adapter(bus)
     try:
-        if bus.interface == "invid-unix":
-            return UnixHub(bus.channel)
-        return can.Bus(
-            interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate_bit_per_s, **bus.options
-        )
-    except (can.CanError, OSError, ValueError, ImportError) as error:
+        return UnixHub(bus.channel)
+    except can.CanError as error:
         raise BusError(f"bus {bus.interface} {bus.channel!r}: cannot be opened: {error}") from None
 
 

@@ -16,10 +16,10 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
 from invid.wording.fields import Text
-from invid_drivers.protocol import RunProgress
 from invid_service.cells.registry import Cell
 from invid_service.cells.schema import LastRun, Overview
 from invid_service.dependencies import CellInPath, Context, Reader
+from invid_service.jobs.protocol import RunProgress
 from invid_service.jobs.schema import polling_headers
 from invid_service.jobs.states import ENDED, IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER

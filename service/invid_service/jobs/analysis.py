@@ -24,9 +24,8 @@ from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import Verdict, verify
 from invid.wording.sentence import joined
-from invid_drivers.protocol import Line, Read
 from invid_service.jobs.progress import AnalysisProgress
-from invid_service.jobs.protocol import Job
+from invid_service.jobs.protocol import Job, Read, RunnerLine
 from invid_service.precedence import behind_parent
 
 _DIGITS = 5
@@ -35,13 +34,13 @@ WALL = 2.0
 """By the clock an analysis takes at most so many times its budget of processor time (the contract)."""
 
 
-def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, Any]:
+def analyse(job: Job, line: RunnerLine, seen: Mapping[str, Any] | None) -> dict[str, Any]:
     """Identify, diagnose and report, write the numbers of the page's pictures, return the summary.
 
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
     behind_parent()
-    tell = AnalysisProgress(line.progress, job.expected_analysis_s, WALL * job.budget_s)
+    tell = AnalysisProgress(line, job.expected_analysis_s, WALL * job.budget_s)
     with tell.told():
         tell.begin("reading the recording")
         # Model and report name the run, not a working folder that is gone when somebody reads them.

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-from invid.errors import RecordingError
-from invid.model.document import parse_json
+from invid.errors import InputError, RecordingError
+from invid.model.document import parse_json, save_text
 from invid.recording.spool import SUFFIX, has_rows, is_spool
 from invid.recording.writer import put_in_place
 from invid.wording.sentence import joined, sentence, with_wording
@@ -82,10 +82,8 @@ class LastWords:
 
     def write(self, folder: Path) -> None:
         """Leave them in the folder of the run; a disk that takes no more keeps nobody from stopping."""
-        part = folder / f"{_WORDS}.part"
-        with contextlib.suppress(OSError):
-            part.write_text(json.dumps(with_wording(asdict(self))), encoding="utf-8")
-            os.replace(part, folder / _WORDS)
+        with contextlib.suppress(InputError):
+            save_text(folder / _WORDS, json.dumps(with_wording(asdict(self))))
 
     @classmethod
     def read(cls, folder: Path) -> LastWords:

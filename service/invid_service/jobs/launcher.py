@@ -11,8 +11,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from invid_drivers.protocol import Arm, Process, Stop, launch
-from invid_service.jobs.protocol import Job, Told
+from invid_drivers.protocol import Process, Stop, launch
+from invid_service.jobs.protocol import Arm, Job, Told
 
 log = logging.getLogger(__name__)
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from invid_drivers.protocol import AxisStates, RunProgress
+from invid_drivers.protocol import AxisStates
 from invid_service.events import EventLog
 from invid_service.jobs.launcher import Worker
+from invid_service.jobs.protocol import RunProgress
 from invid_service.jobs.states import ENDED, OCCUPYING, UPLOAD, State, may_follow
 from invid_service.store.store import RunRecord, StoredEvent
 

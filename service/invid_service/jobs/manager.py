@@ -19,23 +19,23 @@ from sqlalchemy.exc import SQLAlchemyError
 from invid import disk
 from invid.config import CellConfig
 from invid.wording.sentence import joined, sentence
-from invid_drivers.protocol import (
+from invid_drivers.protocol import AxisStates, Done, Stop
+from invid_drivers.readiness import known_after_death
+from invid_service.jobs.folder import unseen
+from invid_service.jobs.launcher import Launcher
+from invid_service.jobs.live import LiveRun, Wish, WrongStateError
+from invid_service.jobs.protocol import (
     Arm,
-    AxisStates,
-    Done,
+    End,
     EndedEarly,
+    Job,
     Measured,
     Planned,
     Read,
     Running,
     RunProgress,
-    Stop,
+    Told,
 )
-from invid_drivers.readiness import known_after_death
-from invid_service.jobs.folder import unseen
-from invid_service.jobs.launcher import Launcher
-from invid_service.jobs.live import LiveRun, Wish, WrongStateError
-from invid_service.jobs.protocol import End, Job, Told
 from invid_service.jobs.results import Results
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace

@@ -10,20 +10,20 @@ from invid.errors import ConfigError
 from invid.model.document import model_from_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
+from invid.planning.goal import Reached, judge_of
+from invid.planning.screening import screening_plan
 from invid.wording.sentence import sentence
-from invid_drivers.foretelling import sensor_noise
-from invid_drivers.goal import Reached, judge_of
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.protocol import AxisStates, Known, Line, Measured, Planned, Running
+from invid_drivers.protocol import AxisStates
 from invid_drivers.readiness import ask, loads_to_support, support_sentence
-from invid_drivers.screening import screening_plan
+from invid_drivers.simulated.config import sensor_noise
 from invid_drivers.stopping_budgets import Wish
 from invid_service.jobs.folder import LastWords
 from invid_service.jobs.progress import MotionProgress
-from invid_service.jobs.protocol import Job, plain
+from invid_service.jobs.protocol import Job, Known, Measured, Planned, RunnerLine, Running, plain
 
 
-def measure(job: Job, line: Line) -> dict[str, Any]:
+def measure(job: Job, line: RunnerLine) -> dict[str, Any]:
     """Check, wait to be armed, move and write ``recording.h5``; return what was seen meanwhile."""
     if job.config is None:
         raise ConfigError("the job has no configuration")
@@ -52,7 +52,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         line.tell(states)
         LastWords(states).write(job.folder)
 
-    shown = MotionProgress(line.progress, job.expected_analysis_s)
+    shown = MotionProgress(line, job.expected_analysis_s)
 
     def reached(found: Reached) -> None:
         if found.trustworthy and math.isfinite(found.relative):
@@ -80,7 +80,7 @@ def _short_plan(config: CellConfig, model: Belief | None, amplitude_scale: float
     """Return the plan of a screening."""
     if model is None:
         raise ConfigError("there is no accepted model of these axes, so nothing can have changed since it")
-    return screening_plan(config, model, sensor_noise(config), amplitude_scale=amplitude_scale).plan
+    return screening_plan(config, model, sensor_noise(config), amplitude_scale=amplitude_scale)
 
 
 def told_plan(plan: Plan, job: Job) -> dict[str, Any]:

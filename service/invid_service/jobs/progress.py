@@ -6,13 +6,15 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-from invid_drivers.protocol import FoundCause, Known, RunProgress
+from invid_service.jobs.protocol import FoundCause, Known, RunnerLine, RunProgress
 
 EVERY_S = 1.0
+PROGRESS_PERIOD_S, MOST_WAITING = 0.2, 200
+"""Progress is told so often at most, and not while so many messages wait for whoever reads them."""
 SLOWER = 0.5
 """Pace at which time left is counted while more is expected than was told (a convention)."""
 BEGINS, ENDS = 0.8, 0.99
@@ -31,16 +33,14 @@ _LEAST_S = {"diagnosing": PACE_S, "writing the report": 0.0}
 _SETTLED_S = 2.0
 """Robot time after which the pace of the motion so far says how long the rest takes."""
 
-Tell = Callable[..., None]
-
 
 class _Told:
     """Tells ``now()`` every second until closed. Time left as it is told never rises, and where it has run
     out nothing is promised.
     """
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell = tell
+    def __init__(self, line: RunnerLine) -> None:
+        self._line, self._said = line, 0.0
         self._began = time.monotonic()
         self._left: tuple[float, float] | None = None
         """When time left was told last, and what."""
@@ -68,11 +68,14 @@ class _Told:
             self.say()
 
     def say(self, *, always: bool = False) -> None:
-        """Report how far it is now; ``always``: it is never to be left out."""
+        """Report how far it is now, no more often than it is read; ``always``: at any rate."""
         with self._lock:
-            told = self.now()
-        if told is not None:
-            self._tell(told, always=always)
+            now = time.monotonic()
+            often = now - self._said < PROGRESS_PERIOD_S or self._line.waiting > MOST_WAITING
+            told = None if often and not always else self.now()
+            if told is not None:
+                self._said = now
+                self._line.tell(told)
 
     def now(self) -> RunProgress | None:
         """Return how far it is; ``None`` where nothing is known yet."""
@@ -99,8 +102,8 @@ class MotionProgress(_Told):
     that the service sees that it does not hang. ``after_s``: what the analysis is thought to take then.
     """
 
-    def __init__(self, tell: Tell, after_s: float | None) -> None:
-        super().__init__(tell)
+    def __init__(self, line: RunnerLine, after_s: float | None) -> None:
+        super().__init__(line)
         self._after = after_s
         self._first: tuple[float, float] | None = None
         self._heard = 0.0
@@ -142,8 +145,8 @@ class AnalysisProgress(_Told):
     no time is told but the one at which it ends at the latest (``most_s``).
     """
 
-    def __init__(self, tell: Tell, expected_s: float | None, most_s: float) -> None:
-        super().__init__(tell)
+    def __init__(self, line: RunnerLine, expected_s: float | None, most_s: float) -> None:
+        super().__init__(line)
         self._expected, self._most = expected_s or PACE_S, most_s
         self._first = expected_s is None
         self._low, self._high, self._share = 0.0, 1.0, 0.0

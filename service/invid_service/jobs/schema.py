@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from invid.wording.fields import Text
-from invid_drivers.protocol import ErrorInfo, RunProgress
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, progress_of
+from invid_service.jobs.protocol import ErrorInfo, RunProgress
 from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY

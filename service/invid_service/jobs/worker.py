@@ -18,9 +18,9 @@ from typing import Any
 from invid.disk import is_full, not_written
 from invid.errors import DiskFullError, InvidError, SafetyStop
 from invid.wording.sentence import sentence
-from invid_drivers.protocol import Done, EndedEarly, ErrorInfo, Line, Stopped, line_of_process
+from invid_drivers.protocol import Done
 from invid_service.jobs.folder import LastWords, hold
-from invid_service.jobs.protocol import Job, plain, without_folder
+from invid_service.jobs.protocol import EndedEarly, ErrorInfo, Job, RunnerLine, Stopped, plain, without_folder
 from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone
 from invid_service.words import ERRORS, SEE_MANUAL, error_of
@@ -48,11 +48,11 @@ def _code_of(kind: type) -> str:
     return name.lstrip("-").removesuffix("-error")
 
 
-def run(line: Line) -> int:
+def run(line: RunnerLine) -> int:
     """Run one job; return the exit status."""
     job: Job = line.read_task()
     resource.setrlimit(resource.RLIMIT_AS, (job.memory_bytes, job.memory_bytes))
-    line.listen()
+    line.listen(line.hear)
     held = contextlib.ExitStack()
     threading.Thread(target=_end_with_parent, args=(line, job.stop_grace_s), daemon=True).start()
     try:
@@ -84,14 +84,14 @@ def run(line: Line) -> int:
     return 0
 
 
-def _measure(job: Job, line: Line) -> dict[str, Any]:
+def _measure(job: Job, line: RunnerLine) -> dict[str, Any]:
     # Seconds of imports: below the service's precedence, with the end of a job already heard.
     from invid_service.jobs.measurement import measure  # noqa: PLC0415
 
     return measure(job, line)
 
 
-def _analyse(job: Job, line: Line, seen: dict[str, Any] | None) -> dict[str, Any]:
+def _analyse(job: Job, line: RunnerLine, seen: dict[str, Any] | None) -> dict[str, Any]:
     # Nothing of it is loaded before the axes are at rest.
     from invid_service.jobs.analysis import analyse  # noqa: PLC0415
 
@@ -103,7 +103,7 @@ def _stopped_by(error: InvidError, job: Job) -> dict[str, Any] | None:
     return stopped_by(error, Run(job.mode, job.amplitude, linear, None))
 
 
-def _end_with_parent(line: Line, grace_s: float) -> None:
+def _end_with_parent(line: RunnerLine, grace_s: float) -> None:
     """Stop the drives and end when the parent has gone: nobody else could stop this process."""
     line.orphaned.wait()
     time.sleep(grace_s)
@@ -113,7 +113,7 @@ def _end_with_parent(line: Line, grace_s: float) -> None:
 def main() -> None:
     """Run the job of the line."""
     as_everyone()  # the cycle process takes its own precedence
-    line = line_of_process()
+    line = RunnerLine.of_process()
     status = run(line)
     line.close(5.0)
     sys.stderr.flush()

@@ -9,7 +9,7 @@ from invid.errors import InvidError
 from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
 from invid.tuning.forms import write_tuning
-from invid_drivers.protocol import Done, Failed, line_of_process
+from invid_drivers.protocol import Done, Failed, Line
 from invid_service.jobs.protocol import TuningTask
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
@@ -30,7 +30,7 @@ def carry_out(task: TuningTask) -> None:
 def main() -> None:
     """Carry out the task of the line."""
     behind_parent()
-    line = line_of_process()
+    line = Line.of_process()
     try:
         carry_out(line.read_task())
         line.tell(Done())

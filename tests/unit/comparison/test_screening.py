@@ -13,9 +13,8 @@ from invid.errors import ModelError, SafetyStop
 from invid.identification.identify import identify
 from invid.model.document import Model, save_model
 from invid.recording import Recording, read_recording
-from invid_drivers.foretelling import sensor_noise
+from invid_drivers.cli.measure import screen_cell
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.screening import screen_cell
 
 CELL = """\
 format: invid-config
@@ -66,9 +65,8 @@ def test_an_unchanged_cell_is_said_to_be_unchanged_and_what_would_have_been_seen
     accepted: Model, tmp_path: Path
 ) -> None:
     config = cell(tmp_path, 2)
-    screened = screen_cell(config, accepted, tmp_path / "r.h5", noise=sensor_noise(config))
-    assert screened.result.duration_s < 10  # doublets, the climb of its trial and one block
-    found = screened.screening
+    result, found = screen_cell(config, accepted, tmp_path / "r.h5")
+    assert result.duration_s < 10  # doublets, the climb of its trial and one block
     assert (found.verdict, found.changed) == ("unchanged", ())
     assert found.sentence.startswith("Nothing changed since the accepted model")
     assert "would have been found" in found.sentence
@@ -86,7 +84,7 @@ def test_what_changed_is_named_with_its_size(
     accepted: Model, tmp_path: Path, changed: dict[str, float], parameter: str, by: float
 ) -> None:
     config = cell(tmp_path, 3, **changed)
-    found = screen_cell(config, accepted, tmp_path / "r.h5", noise=sensor_noise(config)).screening
+    _, found = screen_cell(config, accepted, tmp_path / "r.h5")
     assert found.verdict == "changed"
     assert found.changed == (parameter[:2],)
     assert found.sentence.endswith("Measure in full to take it over.")
@@ -109,7 +107,7 @@ def test_an_axis_that_its_model_does_not_know_again_is_weighed_and_refused(
         branch[key] = [heavier * value for value in branch[key]]
     changed = CellConfig.model_validate(document)
     with pytest.raises(SafetyStop, match="which no elastic axis explains") as stopped:
-        screen_cell(changed, accepted, tmp_path / "r.h5", noise=sensor_noise(changed))
+        screen_cell(changed, accepted, tmp_path / "r.h5")
     assert (stopped.value.code, stopped.value.axis) == ("scales", "A1")
 
 

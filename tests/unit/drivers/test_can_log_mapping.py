@@ -8,8 +8,8 @@ import pytest
 
 from invid.recording.import_map import Source
 from invid.recording.suggest import suggest
-from invid_drivers.can_log import read_log
-from invid_drivers.can_log_mapping import pdos_of_eds
+from invid_drivers.can_log.fields import pdos_of_eds
+from invid_drivers.can_log.table import read_log
 
 N = 50
 TORQUE = np.round(900 * np.sin(np.arange(N) / 9)).astype(int)

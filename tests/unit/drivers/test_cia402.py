@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from invid.errors import BusError
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link
-from invid_drivers.cia402.stated.units import position_per_count
+from invid_drivers.cia402.stated.scales import position_per_count
 from invid_drivers.cia402.states import DriveState, towards_enabled
 
 S = DriveState

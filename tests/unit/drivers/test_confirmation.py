@@ -12,7 +12,7 @@ import yaml
 from invid.config import CellConfig, load_config
 from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.standing.holding import to_support
-from invid_drivers.cli.confirmation import confirm
+from invid_drivers.cli.measure import confirm
 
 ROOT = Path(__file__).parents[3]
 INVID = [sys.executable, "-c", "from invid.cli import main; main()"]

@@ -8,8 +8,7 @@ import pytest
 from invid.config import AxisConfig, CellConfig
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.stated.node_axis import NodeAxis
+from invid_drivers.cia402.objects import NodeAxis, Object
 from invid_drivers.cia402.stated.scales import Factors, read_factors
 from invid_drivers.cia402.stated.vendors import VENDORS
 from invid_drivers.connect import connect

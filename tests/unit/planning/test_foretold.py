@@ -15,13 +15,13 @@ from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.detection import DetectionLimit, detection_limits
 from invid.planning.expected_covariance import expected, fit_about
-from invid.planning.goal import plan_for_goal, shortest_runs
+from invid.planning.goal import reached, shortest_runs
+from invid.planning.screening import screening_plan
 from invid.recording import read_recording
 from invid_drivers.connect import connect
-from invid_drivers.foretelling import sensor_noise
-from invid_drivers.goal import reached
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import truth
+from invid_drivers.simulated.config import sensor_noise
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +72,7 @@ def test_records_show_about_what_was_foretold_of_them(
 
 @pytest.fixture(scope="module")
 def one_block(cell: CellConfig, belief: Belief) -> Plan:
-    plan = plan_for_goal(cell, belief, sensor_noise(cell), 0.01).plan
-    return plan.first(1)
+    return screening_plan(cell, belief, sensor_noise(cell)).first(1)
 
 
 @pytest.mark.campaign

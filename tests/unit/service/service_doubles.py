@@ -19,22 +19,20 @@ from fastapi.testclient import TestClient
 
 from invid.model.chains import case_study
 from invid.model.document import ChainStd, Model, model_to_json, parameter_vector
-from invid_drivers.protocol import (
+from invid_drivers.protocol import AxisStates, Done, LastSeen, Stop
+from invid_service import service
+from invid_service.app import create_app
+from invid_service.jobs.protocol import (
     Arm,
-    AxisStates,
-    Done,
     EndedEarly,
     ErrorInfo,
-    LastSeen,
+    Job,
     Measured,
     Planned,
     Running,
     RunProgress,
-    Stop,
+    Told,
 )
-from invid_service import service
-from invid_service.app import create_app
-from invid_service.jobs.protocol import Job, Told
 from invid_service.settings import Settings
 
 CELL = """\

@@ -12,8 +12,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from service_doubles import CELL, Director, running, start, started, until, wait_for
 
-from invid_drivers.protocol import RunProgress
 from invid_service.jobs.live import LiveRun
+from invid_service.jobs.protocol import RunProgress
 from invid_service.jobs.states import State
 from invid_service.logs import configure_logging
 

@@ -146,10 +146,10 @@ class HeldAxes:
 
     def note_begin(self) -> None:
         """Remember, before power, that a run commands these axes: whoever kills it leaves that behind."""
-        self.memory.disk.defer()
+        self.memory.file.defer()
         for h in self.holdings:
             h.note(self.memory, in_run=True)
-        self.memory.disk.settle()
+        self.memory.file.settle()
 
     def set_options(self, cycle: Cycle) -> bool:
         """Have 0x605A written where a drive must hold a load and was to switch off; whether any is."""

@@ -6,12 +6,10 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from invid_drivers.cia402.disk import Disk
-from invid_drivers.cia402.state_folder import files_of_others, owner_of, read_state, replace_state
+from invid_drivers.cia402.state_folder import StateFile, files_of_others, owner_of, read_state
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class HoldMemory:
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self._seen: dict[str, Seen] = {} if path is None else _read(path)
-        self.disk = Disk()
+        self.file = StateFile(path)
 
     @classmethod
     def beside(cls, journal: Path | None) -> HoldMemory:
@@ -117,9 +115,8 @@ class HoldMemory:
         seen = replace(seen, at=time.time())
         others = {k: v for k, v in self._seen.items() if v.place != seen.place or k == name}
         self._seen = {**others, name: seen}
-        if self.path is not None:
-            text = json.dumps({k: asdict(v) for k, v in self._seen.items()}, indent=1)
-            self.disk.put(partial(replace_state, self.path, text.encode()), str(self.path), FORGOTTEN)
+        text = json.dumps({k: asdict(v) for k, v in self._seen.items()}, indent=1)
+        self.file.replace(text.encode(), FORGOTTEN)
 
 
 def identity(vendor_id: int, product_code: int, serial: int, axis: int = 1) -> str:

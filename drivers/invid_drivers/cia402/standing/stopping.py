@@ -10,7 +10,7 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.limits import distance_to_edge, position_range
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.stated.units import Scaling
+from invid_drivers.cia402.stated.scales import Scaling
 
 SLOW_RAMP, BY_LIMIT, SWITCHES_OFF = frozenset({1, 5}), frozenset({3, 4, 7, 8}), frozenset({1, 2})
 """Values of 0x605A: on the ramp of 0x6084; by the current or the voltage limit; else by 0x6085. And those

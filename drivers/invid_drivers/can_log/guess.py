@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from invid.numerics.arrays import Float64
 from invid.recording.import_map import Pdo, Signal
 from invid.recording.readers.text_dialect import roughness
-from invid_drivers.can_log_fields import fields_of_pdo
-from invid_drivers.can_log_frames import Frames
+from invid_drivers.can_log.fields import Field, fields_of_pdo
+from invid_drivers.can_log.frames import Frames
 
 SMOOTH = 0.25
 """Mean square of a step over the variance below which a field is a signal, not bytes of something else:
@@ -23,19 +24,15 @@ LOOKED_AT = 20_000
 
 @dataclass(frozen=True)
 class Guess:
-    """PDOs with a column for every field, and why; ``known``: a layout that says what they mean."""
+    """PDOs with a column for every field, and why."""
 
     pdos: tuple[Pdo, ...]
     reasons: tuple[str, ...]
     sync_id: int | None
     """None where the log has no SYNC."""
     units: dict[str, str] = field(default_factory=dict)
+    """Of each column, where a known layout says what they mean."""
     remarks: tuple[str, ...] = ()
-
-    @property
-    def known(self) -> bool:
-        """Whether the meaning of the fields is known."""
-        return bool(self.units)
 
 
 @dataclass(frozen=True)
@@ -98,7 +95,7 @@ def guess_pdos(frames: Frames, sync_id: int | None) -> Guess:
         place, length = _pdo_of(identifier), int(own["length"].min(initial=64))
         if place is None or identifier == sync_id or length == 0 or counts[identifier] < ENOUGH * cycles:
             continue
-        signals, said = _fields(own.data[:, :length], identifier)
+        signals, said = _fields(own, length, identifier)
         number, node, to_drive = place
         pdos.append(Pdo(id=identifier, direction="to_drive" if to_drive else "from_drive", signals=signals))
         kind = "RPDO" if to_drive else "TPDO"
@@ -119,13 +116,9 @@ def _known(frames: Frames, counts: dict[int, int]) -> Guess | None:
             if not _fits(pdo, own):
                 continue
             pdos.append(pdo)
-            names = [s for s in pdo.signals if s.type != "skip"]
-            units |= {
-                s.name: u for s, (_, _, u) in zip(names, [x for x in layout.signals if x[0]], strict=True)
-            }
-            reasons.append(
-                f"0x{identifier:X} has the layout of {layout.protocol}: {', '.join(s.name for s in names)}"
-            )
+            named = {s.name: u for s, (_, _, u) in zip(pdo.signals, layout.signals, strict=True) if s.name}
+            units |= named
+            reasons.append(f"0x{identifier:X} has the layout of {layout.protocol}: {', '.join(named)}")
             remarks += [layout.remark] if layout.remark else []
             break
     # The drive's answers, the most first: the first PDO is the clock.
@@ -157,36 +150,34 @@ def _pdo_of(identifier: int) -> tuple[int, int, bool] | None:
     return (function - 1) // 2, node, function % 2 == 0
 
 
-def _fields(data: np.typing.NDArray[np.uint8], identifier: int) -> tuple[list[Signal], list[str]]:
-    signals, said = [], []
-    at, length = 0, data.shape[1]
+def _fields(frames: Frames, length: int, identifier: int) -> tuple[list[Signal], list[str]]:
+    signals, said, at = list[Signal](), list[str](), 0
     while at < length:
-        size = next(n for n in (4, 2, 1) if at + n <= length and (n < 4 or _is_long(data[:, at : at + 4])))
+        size = next(n for n in (4, 2, 1) if at + n <= length and (n < 4 or _is_long(frames, at)))
         name = f"x{identifier:X}_byte{at}"
-        values = data[:, at : at + size].copy().view(f"<i{size}")[:, 0].astype(float)
+        values = _number(frames, at, size)
         signals.append(Signal.model_validate({"name": name, "type": f"int{8 * size}"}))
-        if np.ptp(values) == 0:
-            moves = "constant"
-        else:
-            moves = f"{values.min():.0f} … {values.max():.0f}"
-            moves += ", smooth" if roughness(values) < SMOOTH else ", rough"
+        moves = "constant"
+        if np.ptp(values) > 0:
+            how = "smooth" if roughness(values) < SMOOTH else "rough"
+            moves = f"{values.min():.0f} … {values.max():.0f}, {how}"
         said.append(f"{name} int{8 * size} {moves}")
         at += size
     return signals, said
 
 
-def _is_long(four: np.typing.NDArray[np.uint8]) -> bool:
+def _number(frames: Frames, at: int, size: int) -> Float64:
+    """(n,) the little-endian integer of some bytes."""
+    return Field("", 8 * at, 8 * size, kind="int").values(frames)
+
+
+def _is_long(frames: Frames, at: int) -> bool:
     """Whether four bytes are one number: it moves smoothly, and more so than its lower half alone or with an
     upper half that is no more than the sign."""
-    whole = four.copy().view("<i4")[:, 0].astype(float)
+    whole, low, high = _number(frames, at, 4), _number(frames, at, 2), _number(frames, at + 2, 2)
     if np.ptp(whole) == 0:
         return False
-    low = four[:, :2].copy().view("<i2")[:, 0].astype(float)
-    high = four[:, 2:].copy().view("<i2")[:, 0]
     sign = bool(np.all(high == np.where(low < 0, -1, 0)))
     # Where the upper half moves of itself, the lower one has passed through all its values.
-    carried = np.ptp(low) > 2**15 and roughness(whole) < roughness(low)
+    carried = bool(np.ptp(low) > 2**15) and roughness(whole) < roughness(low)
     return roughness(whole) < SMOOTH and (sign or carried)
-
-
-__all__ = ["LAYOUTS", "LOOKED_AT", "SMOOTH", "Guess", "guess_pdos"]

@@ -13,24 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import Bool, Float64, Int64, frozen_float
+from invid.numerics.arrays import Float64, Int64, frozen_float
 from invid.recording.import_map import Pdo, Source
 from invid.recording.readers.text_dialect import roughness
 from invid.recording.tables import BrokenRow, Table
-from invid_drivers.can_log_fields import Field, fields_of_database, fields_of_pdo, listed
-from invid_drivers.can_log_frames import Frames, read_frames
-from invid_drivers.can_log_guess import LOOKED_AT, SMOOTH, Guess, guess_pdos
-from invid_drivers.can_log_mapping import pdos_of_eds
-from invid_drivers.can_log_traffic import chosen_frames
+from invid_drivers.can_log.fields import Field, fields_of_database, fields_of_pdo, listed, pdos_of_eds
+from invid_drivers.can_log.frames import Frames, read_frames
+from invid_drivers.can_log.guess import LOOKED_AT, SMOOTH, Guess, guess_pdos
+from invid_drivers.can_log.traffic import chosen_frames, first_of_pairs, paired_by
 
 ROUGH = 0.5
 """Mean square of a step over the variance from which a signal leaps: twice what counts as smooth."""
-CLOSE = 0.25
-"""Of the mean distance of SYNC: two of them nearer than this are one, logged twice."""
-TWICE = 0.4
-"""Share of such distances that is no chance; of frames all logged twice it is a half."""
-BOTH_DIFFER = 0.5
-"""Share of pairs of rows with different numbers from which they are no frame and its echo."""
 
 
 def read_log(path: Path, source: Source, *, beside: Path | None = None) -> Table:
@@ -68,14 +61,10 @@ def read_log(path: Path, source: Source, *, beside: Path | None = None) -> Table
     if guessed is None:
         return table
     said = {"pdos": [p.model_dump(exclude_none=True) for p in pdos], "sync_id": guessed.sync_id}
-    doubt = (
-        ()
-        if guessed.known
-        else ("which field of the PDOs is what, and its unit: name position and torque by hand",)
-    )
+    unknown = "which field of the PDOs is what, and its unit: name position and torque by hand"
     return replace(
         table, notes={**table.notes, **said}, reasons=guessed.reasons, units={**table.units, **guessed.units},
-        remarks=(*guessed.remarks, *doubt),
+        remarks=guessed.remarks if guessed.units else (*guessed.remarks, unknown),
     )  # fmt: skip
 
 
@@ -84,12 +73,9 @@ def _rows(
 ) -> Table:
     clock = source.sync_id if source.sync_id is not None else pdos[0].id
     own = chosen_frames(frames, source, list(fields), clock, path)
-    at = np.flatnonzero(own["identifier"] == clock)
-    steps = np.diff(own["time"][at])
-    mean = float(steps.mean()) if steps.size else 0.0
     if source.echo == "first":
-        own = _first_of_pairs(own, CLOSE * mean)
-        at = np.flatnonzero(own["identifier"] == clock)
+        own = first_of_pairs(own, clock)
+    at = np.flatnonzero(own["identifier"] == clock)
     if at.size < 3:
         what = f"SYNC (0x{clock:X})" if source.sync_id is not None else f"frame 0x{clock:X}"
         raise InputError(
@@ -104,20 +90,13 @@ def _rows(
     for pdo in pdos:
         columns |= _columns(own, at, pdo, fields[pdo.id], path, broken)
     data = np.stack(list(columns.values()), axis=1)
-    if (
-        source.echo is None
-        and steps.size > 8
-        and _in_pairs(steps, mean)
-        and not _pairs_differ(data, steps < CLOSE * mean)
-    ):
-        apart = 1e3 * float(np.median(np.sort(steps)[: steps.size // 2]))
+    if source.echo is None and (apart := paired_by(own["time"][at], data)) is not None:
         raise InputError(
-            f"{path}: SYNC (0x{clock:X}) comes in pairs, {apart:.3g} ms apart: frames are logged twice, as "
-            "sent and as "
-            "heard",
+            f"{path}: SYNC (0x{clock:X}) comes in pairs, {1e3 * apart:.3g} ms apart: frames are logged "
+            "twice, as sent and as heard",
             way_out="say 'echo: first' in the map's 'source' to read the first of each pair",
             code="logged_twice",
-            values={"apart_ms": apart},
+            values={"apart_ms": 1e3 * apart},
         )
     # The log starts and stops in the middle of things: cycles that no drive has answered yet are no fault.
     whole = np.flatnonzero(np.isfinite(data).all(axis=1))
@@ -196,31 +175,6 @@ def _by_message(path: Path, frames: Frames, fields: dict[int, list[Field]], sour
         str(path), columns, line_word="frame", units=units, clocks=clocks, broken=frames.broken,
         reasons=("the columns are those of the database",),
     )  # fmt: skip
-
-
-def _first_of_pairs(frames: Frames, near: float) -> Frames:
-    """Frames without those of the same identifier and bytes nearer than ``near`` [s] behind one."""
-    keep = np.ones(frames["time"].size, dtype=np.bool_)
-    for identifier in frames.counts():
-        at = np.flatnonzero(frames["identifier"] == identifier)
-        same = (frames.data[at][1:] == frames.data[at][:-1]).all(axis=1) & (
-            np.diff(frames["time"][at]) < near
-        )
-        keep[at[1:][same]] = False
-    return frames.where(keep)
-
-
-def _pairs_differ(rows: Float64, close: Bool) -> bool:
-    """Whether rows that are next to nothing apart hold numbers of their own: stamps are coarse, no echo."""
-    first, second = rows[:-1][close], rows[1:][close]
-    known = np.isfinite(first) & np.isfinite(second)
-    return bool(np.mean((known & (first != second)).any(axis=1)) > BOTH_DIFFER)
-
-
-def _in_pairs(apart: Float64, mean: float) -> bool:
-    """Whether about half of the distances are next to nothing and the others twice the mean."""
-    close = apart < CLOSE * mean
-    return bool(mean > 0 and close.mean() > TWICE and abs(np.median(apart[~close]) / mean - 2.0) < 0.5)
 
 
 def _refuse_wrong_bytes(

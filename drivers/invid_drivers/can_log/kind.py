@@ -52,7 +52,7 @@ CAPTURES = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa
 """First bytes of pcap (µs, ns, either byte order) and pcapng."""
 CAN_LOG = FileKind(
     "can_log",
-    "invid_drivers.can_log:read_log",
+    "invid_drivers.can_log.table:read_log",
     (b"LOGG", b"***BUSMASTER", b";$FILEVERSION", *CAPTURES),
     (".log", ".asc", ".blf", ".trc", ".pcap", ".pcapng", ".cap"),
     HEADER,

@@ -26,7 +26,7 @@ from invid.numerics.arrays import Bool
 from invid.recording.readers.kinds import FileStart, first_line
 from invid.recording.readers.text_rows import seconds_of
 from invid.recording.tables import BrokenRow
-from invid_drivers.can_log_kind import ASC_FRAME, ASIDE, CAPTURES, LINES, NAMED
+from invid_drivers.can_log.kind import ASC_FRAME, ASIDE, CAPTURES, LINES, NAMED
 
 MAX_FRAMES = 50_000_000
 MAX_BROKEN = 100_000
@@ -81,11 +81,6 @@ class Frames:
         """Identifier → frames, most first."""
         found = self.frame["identifier"].value_counts()
         return dict(found.sort("count", "identifier", descending=[True, False]).iter_rows())
-
-
-def is_capture(head: bytes) -> bool:
-    """Whether a file is a capture of Wireshark or tcpdump."""
-    return head.startswith(CAPTURES)
 
 
 def read_frames(path: Path) -> Frames:
@@ -217,7 +212,7 @@ def _of_messages(path: Path, messages: Iterable[Any]) -> Frames:
 
 
 def _messages(path: Path, start: FileStart) -> Iterable[Any]:
-    if is_capture(start.head):
+    if start.head.startswith(CAPTURES):
         return _captured(path)
     reader = next((reader for first, reader in STARTS.items() if start.head.startswith(first)), None)
     if reader is None and re.search(r"(?m)^\s*base\s+(hex|dec)\b", start.text):

@@ -8,10 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from invid.errors import ChoiceNeeded, InputError
-from invid.numerics.arrays import Bool
+from invid.numerics.arrays import Bool, Float64
 from invid.recording.import_map import Source
-from invid_drivers.can_log_frames import Frames
+from invid_drivers.can_log.frames import Frames
 
+CLOSE = 0.25
+"""Of the mean distance of SYNC: two of them nearer than this are one, logged twice."""
+TWICE = 0.4
+"""Share of such distances that is no chance; of frames all logged twice it is a half."""
+BOTH_DIFFER = 0.5
+"""Share of pairs of rows with different numbers from which they are no frame and its echo."""
 BOTH_WAYS = 0.1
 """Share of an identifier's frames that must be of each direction before they count as frames and echoes: a
 few may have been sent by hand."""
@@ -85,3 +91,36 @@ def _one_way(received: Bool, mine: Bool, identifier: int, source: Source, path: 
             "received",
         )
     return received if source.echo == "received" else ~received
+
+
+def first_of_pairs(frames: Frames, clock: int) -> Frames:
+    """Frames without those of the same identifier and bytes that come right behind one.
+
+    What is near is judged by the mean distance of the frames of ``clock``.
+    """
+    steps = np.diff(frames["time"][frames["identifier"] == clock])
+    near = CLOSE * float(steps.mean()) if steps.size else 0.0
+    keep = np.ones(frames["time"].size, dtype=np.bool_)
+    for identifier in frames.counts():
+        at = np.flatnonzero(frames["identifier"] == identifier)
+        same = (frames.data[at][1:] == frames.data[at][:-1]).all(axis=1)
+        keep[at[1:][same & (np.diff(frames["time"][at]) < near)]] = False
+    return frames.where(keep)
+
+
+def paired_by(instants: Float64, rows: Float64) -> float | None:
+    """How far apart [s] each SYNC and its echo are where all are logged twice; ``None`` where they are not.
+
+    About half of the distances are then next to nothing and the others twice the mean. Rows that are next to
+    nothing apart and hold numbers of their own are no echo: their stamps are coarse.
+    """
+    steps = np.diff(instants)
+    mean = float(steps.mean())
+    close = steps < CLOSE * mean
+    if steps.size <= 8 or not mean > 0 or close.mean() <= TWICE:
+        return None
+    first, second = rows[:-1][close], rows[1:][close]
+    differ = np.isfinite(first) & np.isfinite(second) & (first != second)
+    if abs(np.median(steps[~close]) / mean - 2.0) >= 0.5 or np.mean(differ.any(axis=1)) > BOTH_DIFFER:
+        return None
+    return float(np.median(np.sort(steps)[: steps.size // 2]))
