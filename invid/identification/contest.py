@@ -316,10 +316,11 @@ def _begin_seen(benches: Benches, motors: int) -> tuple[FittedHypothesis, tuple[
 def _begin_grown(benches: Benches, motors: int) -> tuple[FittedHypothesis, tuple[Sizes, ...]]:
     """The fit of masses added one by one, on one axis after another or all at once.
 
-    Orders are compared with friction's shapes at their best: what its form leaves asks for masses too.
+    Orders are compared with friction's shapes at their best, on motion that agrees with it: what its form
+    leaves, and a motor that sticks, asks for masses too.
     """
     bench, kept = benches
-    now = reshape(scan_friction(begin(bench, Structure((1,) * motors), kept)))
+    now = _with_friction_at_best(begin(bench, Structure((1,) * motors), kept))
     alike: tuple[Sizes, ...] = ()
     while max(now.hypothesis.structure.sizes) < MOST_MASSES and not budget.is_left_out(FURTHER_MASSES):
         sizes = now.hypothesis.structure.sizes
@@ -330,13 +331,17 @@ def _begin_grown(benches: Benches, motors: int) -> tuple[FittedHypothesis, tuple
             with suppress(np.linalg.LinAlgError):
                 tried.append(begin(bench, Structure(one), kept, Known(fewer=now)))
         first = min(tried, key=lambda f: f.total, default=now)
-        best = reshape(scan_friction(first))
+        best = _with_friction_at_best(first)
         more = sum(best.hypothesis.structure.sizes) - sum(sizes)
         falls = now.total - best.total, now.kept_total - best.kept_total
         if sum(falls) < price(NUMBERS * more) or min(falls) < 0.0:
             break
         now, alike = best, _as_well(first, tried)
     return now, alike
+
+
+def _with_friction_at_best(found: FittedHypothesis) -> FittedHypothesis:
+    return reshape(reshape(scan_friction(found)).with_agreed_motors())
 
 
 def _contest(

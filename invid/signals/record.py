@@ -28,8 +28,13 @@ DENSE = 1.3
 """Lines up to this multiple of the highest excited one are all used, beyond it every fifth of a period's up
 to ``REACH`` times: they show what friction and play make there (empirical, whole cells)."""
 REACH, SPARSE = 2.5, 5
-WIDE = 5.0
-"""Motion within a record is known up to this multiple of the highest excited line."""
+WIDE, LAWFUL = 5.0, 10.0
+"""Multiples of the highest excited line up to which readings tell the motion within a record, and up to which
+that of a motor that sticks is made to agree with laws: it has corners beyond (empirical, strong friction in
+chirps and production motion: at five a hundredth to a twentieth of it is left over)."""
+SLOW, STICKS = 0.02, 0.08
+"""Speed over its rms, and the share of time below it from which a motor sticks: five times that of a normal
+distribution."""
 FINENESS = 160
 """Points of the grid of motion in a period of the highest excited line: reversals of friction and the edges
 of a gap are read to a few thousandths of it."""
@@ -272,7 +277,8 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     driven = _driven(experiment, position.shape[1])
     stated = bool(experiment.frequencies_hz.size) or periods > 1
     top = top_hz or (excited if stated else elastic_band(frequency, rest, spectrum, driven, excited))
-    wide = np.arange(int(np.searchsorted(frequency, min(WIDE * top, 0.4 / step), side="right")))
+    reach = LAWFUL if _sticks(motion.velocity[:, driven]) else WIDE
+    wide = np.arange(int(np.searchsorted(frequency, min(reach * top, 0.4 / step), side="right")))
     omega: Float64 = 2 * np.pi * frequency[wide]
     lines = rest[wide] + parabola(omega, span, jump, bend)
     used = _used_lines(frequency[wide], top, periods)
@@ -335,6 +341,12 @@ def _span(experiment: Experiment, samples: int) -> tuple[int, int]:
 def _driven(experiment: Experiment, motors: int) -> np.ndarray:
     axis = experiment.excited_axis
     return np.arange(motors) == axis if 0 <= axis < motors else np.ones(motors, dtype=bool)
+
+
+def _sticks(velocity: Float64) -> bool:
+    """Whether a motor of (k, M) stands again and again."""
+    slow = np.abs(velocity) < SLOW * np.sqrt((velocity**2).mean(axis=0))
+    return bool((slow.mean(axis=0) > STICKS).any())
 
 
 def _quiet_lines(frequency: Float64, step: float, top: float, motion: tuple[int, Int64]) -> Int64:

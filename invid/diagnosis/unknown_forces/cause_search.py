@@ -41,8 +41,6 @@ OWN_STIFFNESS = (0.7, 1.4)
 """Bounds of a gap's coefficient over its spring's stiffness."""
 UNBENT = 0.2
 """Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
-MOTORS_AGREED = 2
-"""Rounds in which motor motion is made to agree with friction: the third moves nothing (empirical)."""
 ALONE, STANDS = 8, 0.03
 """Most rounds in which motion is made to agree with laws of springs where nothing unknown acts beside them,
 and the share of all that they gained below which one gains nothing (empirical: they come to rest in six)."""
@@ -154,8 +152,8 @@ def settle(now: FittedHypothesis, rounds: int = 5) -> FittedHypothesis:
     """Motion, shapes and numbers in turn until the value stands."""
     if now.has_contact and not now.motions.is_agreed:
         now = min(now, _agreed_alone(now), key=lambda f: f.total)
-    for number in range(rounds):
-        moved = now.with_agreed_motors() if number < MOTORS_AGREED else now
+    for _ in range(rounds):
+        moved = now.with_agreed_motors()
         if now.follows_fit:
             ways = (True,) if moved.motions.is_agreed else moved.ways
             moved = min((moved.renewed(agreed=a) for a in ways), key=lambda f: f.total)

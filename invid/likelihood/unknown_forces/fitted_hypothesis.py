@@ -326,21 +326,30 @@ class FittedHypothesis:
         return replace(self, kept_motions=known.smoothed(self.hypothesis.laws, agreed=True))
 
     def with_agreed_motors(self) -> FittedHypothesis:
-        """The same on motor motion that agrees with friction as it is found."""
+        """The same on motor motion that agrees with friction as it is found.
+
+        Unknown forces behind the motors that are weaker than friction may be what its motion misses: of
+        motion beside them and without any that with the lower value is taken.
+        """
         sizes = self.sizes
         friction = [
             (shape, sizes[Part.DRY, m], sizes[Part.RISE, m])
             for m, shape in enumerate(self.hypothesis.friction)
         ]
-        if not any(dry or rise for _, dry, rise in friction):
+        most = max(dry + rise for _, dry, rise in friction)
+        if not most:
             return self
-        stacks = _agreed(smooth(self.fit.problem, self.fit.value), friction)
-        now = replace(self, bench=Bench(stacks), motions=self.motions.on(stacks))
+        smoothed = smooth(self.fit.problem, self.fit.value)
+        tried = {}
+        for alone in (False, True) if 0.0 < self.inner_strength < most else (False,):
+            stacks = _agreed(smoothed, friction, alone=alone)
+            tried[alone] = replace(self, bench=Bench(stacks), motions=self.motions.on(stacks)).refit()
+        alone = min(tried, key=lambda way: tried[way].total)
         known = self._kept_now
-        if known is not None:
-            stacks = _agreed(smooth(known.problem, known.value), friction)
-            now = replace(now, kept=Bench(stacks), kept_motions=known.motions.on(stacks))
-        return now.refit()
+        if known is None:
+            return tried[alone]
+        stacks = _agreed(smooth(known.problem, known.value), friction, alone=alone)
+        return replace(tried[alone], kept=Bench(stacks), kept_motions=known.motions.on(stacks))
 
     def in_structure(
         self, moved: Correspondence, added: Mapping[Element, float], iterations: int = TO_THE_END
@@ -390,8 +399,8 @@ class FittedHypothesis:
         return max((v for v, s in self.strength if s.where is not Where.MOTOR), default=0.0)
 
 
-def _agreed(smoothed: Sequence[SmoothedStack], friction: Friction) -> list[Stack]:
-    return [replace(s.stack, records=agreed_records(s, friction)) for s in smoothed]
+def _agreed(smoothed: Sequence[SmoothedStack], friction: Friction, *, alone: bool) -> list[Stack]:
+    return [replace(s.stack, records=agreed_records(s, friction, alone=alone)) for s in smoothed]
 
 
 KEPT_ROUNDS, STANDS = 3, 0.1 * price_at_motors(PARTS)

@@ -1,7 +1,9 @@
 """Motion of the motors that agrees with their friction.
 
 Dry friction turns round within a velocity that the encoder's noise may be as large as, and while a motor
-sticks it follows the law where that is steepest. What the encoder does not tell there the torque does. With
+sticks it follows the law where that is steepest. What the encoder does not tell there the torque does. No
+unknown force acts at the motors meanwhile, and ``alone`` none anywhere: what the law misses on motion that is
+not yet right such forces take up, motion that agrees with them needs them, and the two hold each other. With
 the motion θ = y + n of a reading y with noise of power C_θ, and missing torque r of covariance S without that
 noise, a step of n minimises
 
@@ -28,14 +30,25 @@ Friction = Sequence[tuple[FrictionShape, float, float]]
 """Shape, dry torque and rise at slow speed of every motor."""
 DIFFERENCE = 0.05
 """Step of the velocity over the width of the turn for the slope of friction."""
+WIDER = (27.0, 9.0, 3.0, 1.0)
+"""Widths of the turn over its own at which motion is made to agree, one after another, where steps at the
+narrow one lead nowhere."""
+AGREES = 2.0
+"""Cost over that of noise alone up to which motion agrees (statistical: it scatters by far less)."""
 STANDING = 1e-6
 """Least noise of a reading in its record over the mean of all (numerical)."""
 
 
-def agreed_records(stack: SmoothedStack, friction: Friction) -> tuple[Record, ...]:
+def agreed_records(stack: SmoothedStack, friction: Friction, *, alone: bool) -> tuple[Record, ...]:
     """The records of a stack with motor motion as readings, torque and friction together have it."""
-    rows = _Rows.of(stack, friction)
-    position, velocity = rows.waves(descend(_At.of(rows, np.zeros_like(rows.beyond))).change)
+    rows = _Rows.of(stack, friction, alone=alone)
+    found = descend(_At.of(rows, np.zeros_like(rows.beyond)))
+    if found.cost > AGREES * rows.count:
+        there = _At.of(rows, np.zeros_like(rows.beyond))
+        for wider in WIDER:
+            there = descend(_At.of(rows.with_widths(wider), there.change))
+        found = min(found, there, key=lambda at: at.cost)
+    position, velocity = rows.waves(found.change)
     return tuple(
         replace(r, motion=replace(r.motion, position=r.motion.position + p, velocity=r.motion.velocity + v))
         for r, p, v in zip(stack.stack.records, position, velocity, strict=True)
@@ -52,26 +65,35 @@ class _Rows:
     beyond: Complex128
     whitener: Complex128
     deviation: Float64
+    still: Complex128
 
     @classmethod
-    def of(cls, stack: SmoothedStack, friction: Friction) -> _Rows:
+    def of(cls, stack: SmoothedStack, friction: Friction, *, alone: bool) -> _Rows:
         noise = stack.stack.position_noise
         beyond = np.array([r.position - r.wide_lines(r.motion.position) for r in stack.stack.records])
-        whitener = stack.noise_of(stack.noise.power, np.zeros(noise.size)).whitener
+        power = stack.noise.power.copy()
+        power[:, : power.shape[1] if alone else noise.size] = 0.0  # the motors are the first places
+        whitener = stack.noise_of(power, np.zeros(noise.size)).whitener
         own = np.array([[r.position_noise] for r in stack.stack.records])
         deviation = np.sqrt(np.maximum(np.maximum(own, STANDING * noise), 1e-300))
-        return cls(stack, friction, beyond, whitener, deviation)
+        rows = cls(stack, friction, beyond, whitener, deviation, np.zeros_like(beyond))
+        return replace(rows, still=rows.lines([r.motion.velocity for r in stack.stack.records]))
+
+    @property
+    def count(self) -> float:
+        """The cost to expect of motion that agrees."""
+        return float(self.beyond[..., 0].size * self.beyond.shape[2])
+
+    def with_widths(self, wider: float) -> _Rows:
+        """The same with dry friction that turns round over so many times its width."""
+        friction = [(replace(s, width=wider * s.width), dry, rise) for s, dry, rise in self.friction]
+        return replace(self, friction=friction, still=self.still)
 
     def waves(self, change: Complex128) -> tuple[Float64, Float64]:
         """(R, k + 1, M) position and velocity of a change (R, A, M) over time."""
         stack, turned = self.stack, change.transpose(0, 2, 1)
         position, velocity = stack.wave(turned), stack.wave(1j * stack.omega * turned)
         return position.transpose(0, 2, 1), velocity.transpose(0, 2, 1)
-
-    @cached_property
-    def still(self) -> Complex128:
-        """(R, A, M) friction on the records' own motion."""
-        return self.lines([r.motion.velocity for r in self.stack.stack.records])
 
     def lines(self, velocity: Sequence[Float64]) -> Complex128:
         """(R, A, M) friction that turns with the velocity (k + 1, M) of each record."""

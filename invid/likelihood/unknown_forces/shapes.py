@@ -24,7 +24,7 @@ SMOOTHED = 2
 """Times that a law's motion is smoothed beside its shape before it is compared."""
 LARGEST = 0.5
 """Largest step of a shape's logarithm."""
-WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 8.0)
+WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-5, 0.1), (0.01, 8.0)
 """Bounds of a width and a Stribeck velocity over the motor's rms velocity."""
 APART = 4.0
 """Least Stribeck velocity over the width of dry friction's turn: closer to it a rise at slow speed is the

@@ -95,7 +95,7 @@ def stack_records(records: Sequence[Record], damping: Float64) -> tuple[Stack, .
     groups: dict[tuple[float, ...], list[Record]] = {}
     for record in records:
         instants = record.motion.position.shape[0]
-        key = (record.span, record.step, record.periods, record.used.size, record.top_hz, instants)
+        key = (record.span, record.step, record.periods, record.used.size, record.wide.size, instants)
         groups.setdefault(key, []).append(record)
     return tuple(_stack(group, damping) for group in groups.values())
 

@@ -12,7 +12,7 @@ from invid.likelihood.unknown_forces.descent import Ended
 from invid.likelihood.unknown_forces.fitted_hypothesis import Channel, FittedHypothesis
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.price import FITTED, PARTS, pays, price, price_at_motors
+from invid.likelihood.unknown_forces.price import FITTED, NUMBER, PARTS, pays, price, price_at_motors
 from invid.likelihood.unknown_forces.shapes import reshape
 from invid.model.plant import Kind
 from invid.numerics import budget
@@ -22,6 +22,8 @@ WEIGHING = sentence("what each cause is worth")
 """What a spent budget leaves out, in the words of the warning."""
 LOOSE = 4.0
 """Deviations from which on a spring between two loads is weighed by itself."""
+AGREED = 3
+"""Most times that motion is made to agree with the friction that is left, as often as a fit is settled."""
 FRICTION = (
     (Part.OFFSET, "torque_offset"),
     (Part.RISE, "stribeck_friction"),
@@ -130,6 +132,10 @@ def prune(
         for key, deletion in deletions.items():
             if key not in known:
                 known[key], weighed_at[key] = _weigh(now, deletion), now
+        lower = _lower(now, [known[key][1] for key in deletions])
+        if lower is not None:
+            now, known = lower.at_rest_on_kept(), {}
+            continue
         worths = [known[key][0] for key in deletions]
         stays = {w.key for w in worths if w.stays}
         # A rise at slow speed is one above dry friction: it goes first, or would stand for that.
@@ -145,11 +151,26 @@ def prune(
             now = known[least][1] or now
 
 
+def _lower(now: FittedHypothesis, parts: Sequence[FittedHypothesis | None]) -> FittedHypothesis | None:
+    """A lower fit of the same hypothesis, where a part of it does better than the whole: that was at no least
+    value."""
+    hypothesis = now.hypothesis
+    alike = [p for p in parts if p is not None and p.hypothesis.structure == hypothesis.structure]
+    best = min(alike, key=lambda p: p.total, default=now)
+    if not best.total < now.total - NUMBER:
+        return None
+    whole = replace(
+        best.hypothesis, laws=hypothesis.laws, absent=hypothesis.absent, channels=hypothesis.channels
+    )
+    found = reshape(best.refit(whole), 1)
+    return found if found.total < now.total - NUMBER else None
+
+
 def friction_deletions(now: FittedHypothesis) -> list[Deletion]:
     """The parts of the friction of motors that are not at zero."""
     sizes = now.sizes
     return [
-        Deletion(cause, (part, motor), partial(without_column, name=(part, motor)))
+        Deletion(cause, (part, motor), partial(_without_friction, part=part, motor=motor))
         for motor in range(now.hypothesis.structure.motors)
         for part, cause in FRICTION
         if sizes[part, motor]
@@ -189,6 +210,17 @@ def without_loose_springs(now: FittedHypothesis) -> FittedHypothesis:
 def _without_channel(now: FittedHypothesis, own: tuple[Channel, int]) -> FittedHypothesis:
     absent = now.hypothesis.absent | {(Channel.DELAY, own[1])}
     return now.refit(replace(now.hypothesis, channels=now.hypothesis.channels - {own}, absent=absent))
+
+
+def _without_friction(now: FittedHypothesis, part: Part, motor: int) -> FittedHypothesis:
+    """The fit without a part of a motor's friction; where a rise at slow speed seems to pay, on motion that
+    agrees with the rest as that before agreed with it."""
+    less = without_column(now, (part, motor))
+    for _ in range(AGREED if part is Part.RISE else 0):
+        if less.total - now.total < price_at_motors(PARTS):
+            break
+        less = min(less, reshape(less.with_agreed_motors(), 1), key=lambda f: f.total)
+    return less
 
 
 def without_column(now: FittedHypothesis, name: Hashable) -> FittedHypothesis:
