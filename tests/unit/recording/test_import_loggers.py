@@ -80,6 +80,21 @@ def test_an_mdf_file_is_read_also_where_its_groups_have_clocks_of_their_own(tmp_
     assert ("interpolated" in capsys.readouterr().err) == separate
 
 
+def test_samples_of_an_mdf_channel_that_are_marked_invalid_are_left_out(tmp_path):
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is missing: pip install 'invid[mdf]'")
+    path, marked = tmp_path / "log.mf4", np.zeros(COUNT, dtype=bool)
+    marked[50:60] = True
+    with asammdf.MDF(version="4.10") as file:
+        torque = asammdf.Signal(np.where(marked, 1e6, TORQUE), TIME, name="torque", invalidation_bits=marked)
+        file.append([asammdf.Signal(ANGLE, TIME, name="position"), torque])
+        file.save(path)
+    table = read_table(path, Source())
+    assert table.columns["position"] == pytest.approx(ANGLE)
+    assert table.columns["torque"] == pytest.approx(TORQUE[~marked])
+    assert table.columns[table.clocks["torque"]] == pytest.approx(TIME[~marked])
+    assert table.columns[table.clocks["position"]] == pytest.approx(TIME)
+
+
 @pytest.mark.parametrize("kind", ["waveforms", "dates", "a column of seconds", "two rates"])
 def test_a_tdms_file_is_read_whatever_keeps_its_time(tmp_path, capsys, kind):
     tdms = pytest.importorskip("nptdms", reason="npTDMS is missing: pip install 'invid[tdms]'")
