@@ -14,7 +14,6 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import NoReturn
 
@@ -24,7 +23,8 @@ from invid.effects.effect import FAMILIES, HOMES, OVER, Effect, Experiment, Plac
 from invid.effects.motion_effect import OF_MOTION, PAIRS, MotionEffect
 from invid.effects.sizes import Size
 from invid.effects.units import unit_of
-from invid.errors import InputError, InvidError
+from invid.errors import InputError
+from invid.extensions import error_text, load_extensions
 from invid.model.place import Place
 from invid.model.plant import Structure
 
@@ -54,7 +54,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
             spec.loader.exec_module(module)
         except Exception as error:  # whatever a stranger's file raises
             del sys.modules[name]
-            raise InputError(f"{where}{_line_in(path, error)}: {_said(error)}") from None
+            raise InputError(f"{where}{_line_in(path, error)}: {error_text(error)}") from None
     held = getattr(module, "EFFECTS", None) or getattr(module, "EFFECT", None)
     return tuple(check_effect(e, where) for e in _effects_held(held, where))
 
@@ -62,21 +62,9 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
 def installed_effects() -> list[Effect]:
     """The effects of installed packages; InputError names one that cannot be used."""
     found: list[Effect] = []
-    for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
-        package = "a package" if entry.dist is None else f"package {entry.dist.name}"
-        where = f"{package}, entry point {entry.name!r} of {GROUP}"
-        try:
-            held = entry.load()
-        except Exception as error:  # whatever a stranger's package raises
-            raise InputError(f"{where}: {_said(error)}; mend or uninstall the package") from None
+    for where, held in load_extensions(GROUP):
         found += [check_effect(e, where) for e in _effects_held(held, where)]
     return found
-
-
-def _said(error: Exception) -> str:
-    """What an exception says, with its kind where invid did not raise it, on one line."""
-    text = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
-    return text if isinstance(error, InvidError) else f"{type(error).__name__}: {text}"
 
 
 def _line_in(path: Path | str, error: Exception) -> str:
@@ -219,7 +207,7 @@ def _check_methods(effect: Effect, where: str, refuse: Refuse) -> None:
         raise
     except Exception as error:  # whatever a stranger's law raises
         at = _line_in(file, error) or _line_of(type(effect), "resistance")
-        raise InputError(f"{where}{at}: {effect.cause}: {_said(error)} on {doing}") from None
+        raise InputError(f"{where}{at}: {effect.cause}: {error_text(error)} on {doing}") from None
 
 
 def _try_law(effect: MotionEffect, refuse: Refuse) -> None:

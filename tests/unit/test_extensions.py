@@ -109,3 +109,20 @@ def test_a_kind_that_nobody_reads_is_told_the_names(installed: Path) -> None:
     assert "'gird'" in refused.stderr
     assert "csv" in refused.stderr
     assert "grid" in refused.stderr
+
+
+@pytest.mark.parametrize("broken", ["grid_files.py", "mode_list.py"])
+def test_a_package_that_cannot_be_loaded_is_named_in_one_sentence(installed: Path, broken: str) -> None:
+    (installed / broken).write_text("import what_is_not_there\n")
+    (installed / "run.csv").write_text("time,position,torque\n0,0,0\n1,1,1\n2,0,1\n")
+    chains = CoupledChains.build([[1.0, 2.0]], [[100.0]], [[0.1]], np.zeros((1, 1)), axes=("A1",))
+    Model("bench", "refined", chains, ChainStd.unknown(chains)).save(installed / "model.json")
+    asked = {
+        "grid_files.py": ("import", "--suggest", "run.csv"),
+        "mode_list.py": ("export", "model.json", "--to", "modes", "-o", "x"),
+    }
+    refused = invid(installed, *asked[broken])
+    assert refused.returncode == 2
+    assert "package stranger, entry point" in refused.stderr
+    assert "what_is_not_there" in refused.stderr
+    assert "Traceback" not in refused.stderr

@@ -453,21 +453,26 @@ def fit_hypothesis(
     """The first fit of a hypothesis without laws, on records fitted and kept out; given up where it would not
     come to ``target``."""
     bench, kept = benches
-    motions = Motions(bench.stacks, hypothesis.structure)
-    problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
-    numbers, problem = bounded(numbers, problem, hypothesis)
+    motions, numbers, problem = _first_problem(bench, hypothesis, numbers)
     kept_motions = None if kept is None else Motions(kept.stacks, hypothesis.structure)
     return FittedHypothesis(
         bench, hypothesis, motions, fit(problem, numbers, iterations, target), kept, kept_motions
     )
 
 
+def _first_problem(
+    bench: Bench, hypothesis: Hypothesis, numbers: Numbers
+) -> tuple[Motions, Numbers, Problem]:
+    """A hypothesis without laws on motion as it was read, about numbers within its bounds."""
+    motions = Motions(bench.stacks, hypothesis.structure)
+    problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
+    return motions, *bounded(numbers, problem, hypothesis)
+
+
 def settle_hypothesis(bench: Bench, hypothesis: Hypothesis, numbers: Numbers) -> FittedHypothesis:
     """A hypothesis without laws at a plant that is known, with the strengths and the timing that the records
     ask for; its curvature is that of all numbers."""
-    motions = Motions(bench.stacks, hypothesis.structure)
-    problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
-    numbers, problem = bounded(numbers, problem, hypothesis)
+    motions, numbers, problem = _first_problem(bench, hypothesis, numbers)
     spread = problem.spread.copy()
     spread[: numbers.plant.x.size] = HELD
     settled = fit(replace(problem, spread=spread), numbers).numbers

@@ -34,7 +34,7 @@ WIDER = (27.0, 9.0, 3.0, 1.0)
 """Widths of the turn over its own at which motion is made to agree, one after another, where steps at the
 narrow one lead nowhere."""
 AGREES = 2.0
-"""Cost over that of noise alone up to which motion agrees (statistical: it scatters by far less)."""
+"""Cost over that of noise alone, one a row, up to which motion agrees (statistical: it scatters by less)."""
 STANDING = 1e-6
 """Least noise of a reading in its record over the mean of all (numerical)."""
 
@@ -43,7 +43,7 @@ def agreed_records(stack: SmoothedStack, friction: Friction, *, alone: bool) -> 
     """The records of a stack with motor motion as readings, torque and friction together have it."""
     rows = _Rows.of(stack, friction, alone=alone)
     found = descend(_At.of(rows, np.zeros_like(rows.beyond)))
-    if found.cost > AGREES * rows.count:
+    if found.cost > AGREES * rows.beyond.size:
         there = _At.of(rows, np.zeros_like(rows.beyond))
         for wider in WIDER:
             there = descend(_At.of(rows.with_widths(wider), there.change))
@@ -78,11 +78,6 @@ class _Rows:
         deviation = np.sqrt(np.maximum(np.maximum(own, STANDING * noise), 1e-300))
         rows = cls(stack, friction, beyond, whitener, deviation, np.zeros_like(beyond))
         return replace(rows, still=rows.lines([r.motion.velocity for r in stack.stack.records]))
-
-    @property
-    def count(self) -> float:
-        """The cost to expect of motion that agrees."""
-        return float(self.beyond[..., 0].size * self.beyond.shape[2])
 
     def with_widths(self, wider: float) -> _Rows:
         """The same with dry friction that turns round over so many times its width."""

@@ -23,7 +23,7 @@ WEIGHING = sentence("what each cause is worth")
 LOOSE = 4.0
 """Deviations from which on a spring between two loads is weighed by itself."""
 AGREED = 3
-"""Most times that motion is made to agree with the friction that is left, as often as a fit is settled."""
+"""Most times that motion is made to agree with the friction that is left."""
 FRICTION = (
     (Part.OFFSET, "torque_offset"),
     (Part.RISE, "stribeck_friction"),

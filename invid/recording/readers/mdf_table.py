@@ -59,21 +59,17 @@ def _columns(path: Path) -> Columns | str:
                 clock = f"time of group {index}" if "time" in found.values else "time"
                 # Kinds 2 and 3 are the master itself. One look for a group reads its blocks once.
                 asked = [k for k, c in enumerate(group.channels) if c.channel_type not in (2, 3)]
-                signals = (
-                    file.select([(None, index, k) for k in asked], validate=True, copy_master=False)
-                    if asked
-                    else []
-                )
+                places = [(None, index, k) for k in asked]
+                signals = file.select(places, validate=True, copy_master=False) if asked else []
                 for number, signal in zip(asked, signals, strict=True):
                     values, instants = np.asarray(signal.samples), np.asarray(signal.timestamps, dtype=float)
                     if values.dtype.kind in "iufb" and values.ndim == 1 and 2 <= values.size == instants.size:
                         name = group.channels[number].name
                         twice = f".{index}.{number}" if name in found.values else ""
                         # Of a channel samples that are marked invalid are missing, and their instants.
-                        is_first = clock not in found.values
-                        alike = is_first or np.array_equal(found.values[clock], instants)
+                        alike = np.array_equal(found.values.get(clock, instants), instants)
                         own = clock if alike else f"time of {name}{twice}"
-                        if is_first or not alike:
+                        if own not in found.values:
                             found.add(own, instants, "s")
                         found.add(name + twice, values, signal.unit or "", own)
     except Exception as error:  # by kind of damage: MdfException, struct.error, ValueError, …
